@@ -1,0 +1,6 @@
+"""Measure methods on paired episodes: the same as the installed command ``smp-bench``."""
+
+from smp_planner.benchmark.cli import app
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,351 @@
+"""The environment: world, arm, task and scenes composed into one `gymnasium.Env`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+
+from smp_gym import assets, kinematics
+from smp_gym.jaco import ACTION_SIZE, FINGER_CLOSED, HAND_LINKS, Jaco, set_grip_friction
+from smp_gym.observation import (
+    CONTROL_PERIOD,
+    MAX_EPISODE_STEPS,
+    ObjectState,
+    Observation,
+    encode,
+    encode_desired_goal,
+    observation_space,
+)
+from smp_gym.scene import (
+    DIFFICULTIES,
+    EVALUATION_SEEDS_START,
+    Goal,
+    ManipulatedObject,
+    Obstacle,
+    Scene,
+    fixtures,
+)
+from smp_gym.scene_sampling import sample_scene
+from smp_gym.tasks import Status, make_task
+from smp_gym.tasks.status import CALM_SPEED
+from smp_gym.world import PHYSICS_PERIOD, BulletWorld, Camera, Contact
+
+__all__ = ["COLLISION_REWARD", "SHAPING_DISCOUNT", "SUBSTEPS", "ManipulationEnv"]
+
+SUBSTEPS = round(CONTROL_PERIOD / PHYSICS_PERIOD)
+"""Physics steps per environment step."""
+
+COLLISION_REWARD = -100.0
+"""Reward of the step that collides; it ends the episode."""
+
+SHAPING_DISCOUNT = 0.99
+"""Discount in the dense reward's difference of potentials. Shaping leaves the best policy what it
+is if the agent discounts by the same."""
+
+CLEARANCE_LIMIT = 0.05
+"""m; ``info["clearance"]`` does not tell larger distances apart."""
+
+DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.2), distance=1.75, yaw=62.0, pitch=-28.0)
+
+_ACTION_TOLERANCE = 1e-6
+_CLOSING_STEPS = 20
+_SETTLING_STEPS = 20
+_TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
+_BIN_COLOR = (0.30, 0.45, 0.62, 1.0)
+_OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
+_ORIGIN = (0.0, 0.0, 0.0)
+_BIN_PARKING = (0.0, 0.0, -10.0)
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Grasp:
+    """What the settled grasp, and so its snapshot, depends on."""
+
+    start: tuple[float, ...]
+    manipulated: ManipulatedObject
+
+
+class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle):
+    """A manipulation task among obstacles, drawn anew in each episode.
+
+    **Actions** are `Box(-1, 1, (7,))`: six joint velocities as fractions of the joints' limits
+    (`smp_gym.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. An action with an entry
+    that is not finite or further than 1e-6 outside the box is an error.
+
+    **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
+
+    **Rewards**: -1 a step, 0 at success, -100 at a collision; both end the episode. ``"dense"`` adds
+    the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential being 0
+    once the episode has ended.
+
+    **Collisions**: any contact of the arm or of the held object that the task does not need, looked
+    for after every physics step.
+
+    **Seeds**: ``reset(seed=s)`` starts the episode whose scene is
+    ``sample_scene(task, difficulty, s)``, a pure function. A reset without seed draws the next one
+    from ``np_random``, always below `EVALUATION_SEEDS_START`: seeds from there on are kept for
+    evaluation and come up only when asked for.
+
+    **Info**, in every step: ``is_success``; ``collided``; ``collision``, the names of the two
+    parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle, m,
+    at most 0.05; ``failure``, "" or why the episode has failed: "collision", the task's own cause
+    (Placement: "dropped"), or "timeout"; ``seed`` (None for a scene that was handed in without
+    one); ``difficulty``. `reset` adds ``scene``, the scene as JSON. With the dense reward there is
+    also ``previous_achieved_goal``.
+
+    Args:
+        task: one of `smp_gym.scene.TASKS`.
+        difficulty: one of `smp_gym.scene.DIFFICULTIES`.
+        reward: "sparse" or "dense".
+        render_mode: None, "rgb_array", or "human" for a window.
+        width: of pictures, pixels.
+        height: of pictures, pixels.
+        camera: entries of `smp_gym.world.Camera` that shall differ from the default.
+
+    Raises:
+        ValueError: an argument is not one of those allowed.
+        RuntimeError: "human" without a display.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": round(1.0 / CONTROL_PERIOD),
+    }
+
+    def __init__(
+        self,
+        task: str = "Placement",
+        difficulty: str = "medium",
+        reward: Literal["sparse", "dense"] = "sparse",
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 360,
+        camera: Mapping[str, Any] | None = None,
+    ) -> None:
+        EzPickle.__init__(self, task, difficulty, reward, render_mode, width, height, camera)
+        self.task = make_task(task)
+        _check_choice("difficulty", difficulty, DIFFICULTIES)
+        _check_choice("reward", reward, ("sparse", "dense"))
+        _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        for name, value in (("width", width), ("height", height)):
+            if not (isinstance(value, int) and value > 0):
+                raise ValueError(f"{name} must be a positive number of pixels, got {value!r}")
+        self.difficulty = difficulty
+        self.reward = reward
+        self.render_mode = render_mode
+        self._width, self._height = width, height
+        self._camera = _camera(camera)
+        self.observation_space = observation_space(self.task.name)
+        self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
+        self._world = BulletWorld(gui=render_mode == "human")
+        self._grasp: _Grasp | None = None
+        self._scene: Scene | None = None
+        self._next_frame = 0.0
+
+    # Gymnasium's interface
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the present episode."""
+        if self._scene is None:
+            raise gymnasium.error.ResetNeeded("call reset() before anything else")
+        return self._scene
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: of the scene; without one it is drawn from ``np_random``.
+            options: ``{"scene": …}`` plays that scene instead: a `Scene`, its dictionary or its
+                JSON text.
+
+        Raises:
+            ValueError: an option is unknown, or the scene does not parse, is of another task, or
+                begins with a collision. The environment stays usable.
+        """
+        self._check_open()
+        super().reset(seed=seed)
+        scene = self._scene_of(seed, options)
+        try:
+            self._load(scene)
+        except ValueError:
+            self._scene = None
+            raise
+        observation, info = self._observe(), self._info()
+        info["scene"] = scene.to_json()
+        if self.render_mode == "human":
+            self.render()
+        return observation, info
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advance by `CONTROL_PERIOD`.
+
+        Args:
+            action: (7,), each entry from -1 to 1.
+
+        Raises:
+            ValueError: the action has another shape, is not finite, or out of range; nothing
+                has moved then.
+        """
+        self._check_open()
+        checked = _checked_action(action)
+        scene = self.scene
+        previous = self._achieved
+        self._jaco.integrate(checked)
+        self._jaco.track()
+        for _ in range(SUBSTEPS):
+            self._world.step()
+            if self._judge_contacts():
+                break
+        self._elapsed += 1
+        self._measure()
+        observation = self._observe()
+        desired = observation["desired_goal"]
+        self._succeeded = bool(self.task.success(self._achieved, desired))
+        terminated = self._succeeded or self._collision is not None
+        if not terminated and not self._failure and self._elapsed >= MAX_EPISODE_STEPS:
+            self._failure = "timeout"
+        info = self._info()
+        if self.reward == "dense":
+            info["previous_achieved_goal"] = previous
+        reward = float(self.compute_reward(self._achieved, encode_desired_goal(scene), info))
+        if self.render_mode == "human":
+            self.render()
+        return observation, reward, terminated, False, info
+
+    def compute_reward(
+        self, achieved_goal: FloatArray, desired_goal: FloatArray, info: Any
+    ) -> FloatArray | float:
+        """Return the reward of reaching goals, as `step` would give it.
+
+        Args:
+            achieved_goal: (..., G) achieved goals.
+            desired_goal: (..., G) desired goals.
+            info: unused by the sparse reward. The dense reward, being a difference, needs each
+                step's ``info`` (one, or a sequence of them) for the goal achieved before: tell
+                stable-baselines3's `HerReplayBuffer` to keep it with ``copy_info_dict=True``.
+
+        Returns:
+            A float for single goals, otherwise (...) rewards.
+
+        Raises:
+            ValueError: dense reward without the ``info`` of the steps.
+        """
+        achieved = np.asarray(achieved_goal, np.float64)
+        desired = np.asarray(desired_goal, np.float64)
+        collided = self.task.collided(achieved)
+        success = self.task.success(achieved, desired)
+        rewards = np.where(collided, COLLISION_REWARD, np.where(success, 0.0, -1.0))
+        if self.reward == "dense":
+            before = self.task.potential(_previous_goals(info, achieved.shape), desired)
+            after = np.where(collided | success, 0.0, self.task.potential(achieved, desired))
+            rewards = rewards + SHAPING_DISCOUNT * after - before
+        return float(rewards) if rewards.ndim == 0 else rewards
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return a picture (height, width, 3) in mode "rgb_array"; in "human", keep real time."""
+        self._check_open()
+        _ = self.scene
+        if self.render_mode == "rgb_array":
+            return self._world.picture(self._camera, self._width, self._height)
+        if self.render_mode == "human":
+            now = time.monotonic()
+            time.sleep(max(0.0, self._next_frame - now))
+            self._next_frame = max(self._next_frame, now) + CONTROL_PERIOD
+        return None
+
+    def close(self) -> None:
+        """End the physics world; closing again does nothing."""
+        self._world.close()
+        self._scene = None
+
+    # Scenes
+
+    def _check_open(self) -> None:
+        if self._world.closed:
+            raise RuntimeError("the environment is closed; make a new one")
+
+    def _scene_of(self, seed: int | None, options: Mapping[str, Any] | None) -> Scene:
+        options = dict(options or {})
+        given = options.pop("scene", None)
+        if options:
+            raise ValueError(f"options may hold 'scene' only, got {sorted(map(str, options))}")
+        if given is not None:
+            scene = _parsed(given)
+            self.task.check_scene(scene)
+            return scene
+        if seed is None:
+            seed = int(self.np_random.integers(EVALUATION_SEEDS_START))
+        return sample_scene(self.task.name, self.difficulty, seed)
+
+    def _load(self, scene: Scene) -> None:
+        assert scene.manipulated is not None
+        grasp = _Grasp(scene.start, scene.manipulated)
+        if grasp != self._grasp:
+            self._build(grasp)
+        self._world.restore(self._settled)
+        self._jaco.set_reference(scene.start, 1.0)
+        self._world.place("bin", scene.goals[0].position)
+        self._world.set_obstacles(scene.obstacles)
+        self._world.detect_contacts()
+        self._scene = scene
+        self._elapsed = 0
+        self._calm_steps = 0
+        self._failure = ""
+        self._collision: Contact | None = None
+        self._succeeded = False
+        self._clearance = CLEARANCE_LIMIT
+        if self._judge_contacts():
+            a, b = self._collision or ("", "")
+            raise ValueError(f"the scene begins with a collision of {a} with {b}")
+        self._measure()
+
+    def _build(self, grasp: _Grasp) -> None:
+        """Fill an empty world and let the hand close on the object; the snapshot is the start."""
+        self._grasp = None
+        world = self._world
+        world.clear()
+        table, *walls = fixtures(_bin_at_origin(grasp))
+        world.add_body("table", (table,), color=_TABLE_COLOR)
+        world.add_body("bin", walls, color=_BIN_COLOR, position=_BIN_PARKING)
+        self._jaco = Jaco(world, assets.jaco_urdf(), grasp.start)
+        size, mass = grasp.manipulated.size, grasp.manipulated.mass
+        block = Obstacle(shape="box", position=_ORIGIN, size=size)
+        position, quaternion = self._jaco.grasp_pose()
+        world.add_body(
+            "object",
+            (block,),
+            color=_OBJECT_COLOR,
+            mass=mass,
+            position=position,
+            quaternion=quaternion,
+        )
+        set_grip_friction(world, world.body("object"), -1)
+        self._jaco.set_reference(grasp.start, 1.0)
+        # Weightless until the fingers have closed, then let it hang.
+        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
+            world.set_gravity(gravity)
+            for _ in range(steps):
+                self._jaco.track()
+                for _ in range(SUBSTEPS):
+                    world.step()
+        if ("object", HAND_LINKS[1]) not in world.contacts():
+            pass
+        self._settled = world.snapshot()
+        self._grasp = grasp
+
+    # Measuring and judging

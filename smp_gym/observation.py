@@ -1,0 +1,361 @@
+"""Observations: the one place where state and scene become arrays, and arrays become a scene again.
+
+An observation is a `Dict` of four float32 vectors: ``observation`` (robot, object, time; see
+`STATE_LAYOUT`), ``achieved_goal`` and ``desired_goal`` (see `GOAL_LAYOUTS`), and ``obstacles``
+(`MAX_OBSTACLES` rows of `OBSTACLE_LAYOUT`, flattened). It is complete: `decode` gives back all that a
+planner needs, raw or flattened by `gymnasium.spaces.flatten`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from smp_gym.scene import MAX_OBSTACLES, SHAPES, Goal, ManipulatedObject, Obstacle, Scene
+
+__all__ = [
+    "CONTROL_PERIOD",
+    "GOAL_LAYOUTS",
+    "GRIPPER_RATE",
+    "MAX_EPISODE_STEPS",
+    "OBSTACLE_LAYOUT",
+    "STATE_LAYOUT",
+    "DecodedObservation",
+    "Field",
+    "ObjectState",
+    "RobotState",
+    "decode",
+    "encode",
+    "encode_desired_goal",
+    "observation_space",
+]
+
+CONTROL_PERIOD = 0.05
+"""Seconds per environment step (20 Hz)."""
+
+MAX_EPISODE_STEPS = 400
+"""Steps after which an episode is truncated."""
+
+GRIPPER_RATE = 1.0
+"""Change per second of the gripper reference (0 open, 1 closed) at gripper action 1."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One named stretch of a vector, with the bounds of its entries."""
+
+    name: str
+    size: int
+    low: float
+    high: float
+
+
+STATE_LAYOUT = (
+    Field("configuration", 6, -7.0, 7.0),
+    Field("reference", 6, -7.0, 7.0),
+    Field("joint_velocity", 6, -10.0, 10.0),
+    Field("finger_angles", 4, -0.5, 2.5),
+    Field("gripper_reference", 1, 0.0, 1.0),
+    Field("finger_velocity", 4, -50.0, 50.0),
+    Field("end_effector_position", 3, -2.0, 2.0),
+    Field("end_effector_quaternion", 4, -1.0, 1.0),
+    Field("object_position", 3, -5.0, 5.0),
+    Field("object_quaternion", 4, -1.0, 1.0),
+    Field("object_linear_velocity", 3, -20.0, 20.0),
+    Field("object_angular_velocity", 3, -200.0, 200.0),
+    Field("object_size", 3, 0.0, 1.0),
+    Field("elapsed", 1, 0.0, 1.0),
+)
+"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`."""
+
+OBSTACLE_LAYOUT = (
+    Field("present", 1, 0.0, 1.0),
+    Field("shape", len(SHAPES), 0.0, 1.0),
+    Field("position", 3, -2.0, 2.0),
+    Field("quaternion", 4, -1.0, 1.0),
+    Field("size", 3, 0.0, 2.0),
+    Field("velocity", 3, -5.0, 5.0),
+)
+"""One row of ``obstacles``; absent rows are all zero."""
+
+GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
+    "Placement": (
+        Field("object_position", 3, -5.0, 5.0),
+        Field("collided", 1, 0.0, 1.0),
+        Field("released", 1, 0.0, 1.0),
+        Field("at_rest", 1, 0.0, 1.0),
+    ),
+}
+"""``achieved_goal`` and ``desired_goal`` of each task. A flag of 1 in the desired goal is demanded."""
+
+Array = NDArray[np.floating[Any]]
+Observation = dict[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """State of arm and gripper; angles in rad, rates in rad/s, positions in m.
+
+    Attributes:
+        configuration: (6,) measured joint angles.
+        reference: (6,) integrated joint reference that the motors track.
+        joint_velocity: (6,).
+        finger_angles: (4,) proximal 1, proximal 2, tip 1, tip 2.
+        gripper_reference: 0 (open) to 1 (closed).
+        finger_velocity: (4,).
+        end_effector_position: (3,).
+        end_effector_quaternion: (4,) x, y, z, w.
+    """
+
+    configuration: Array
+    reference: Array
+    joint_velocity: Array
+    finger_angles: Array
+    gripper_reference: float
+    finger_velocity: Array
+    end_effector_position: Array
+    end_effector_quaternion: Array
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """State of the manipulated object: position (3,) m, quaternion (4,), velocities (3,), size (3,)."""
+
+    position: Array
+    quaternion: Array
+    linear_velocity: Array
+    angular_velocity: Array
+    size: Array
+
+
+@dataclass(frozen=True)
+class DecodedObservation:
+    """What an observation says.
+
+    Attributes:
+        scene: obstacles, goals and object; its start is the *present* configuration.
+        robot: state of arm and gripper.
+        object: state of the manipulated object.
+        elapsed_steps: environment steps since the episode began; 0 in its first observation.
+        collided: whether a forbidden contact has happened.
+    """
+
+    scene: Scene
+    robot: RobotState
+    object: ObjectState
+    elapsed_steps: int
+    collided: bool
+
+
+def _bounds(layout: tuple[Field, ...], repeat: int = 1) -> spaces.Box:
+    low = np.concatenate([np.full(f.size, f.low, np.float32) for f in layout])
+    high = np.concatenate([np.full(f.size, f.high, np.float32) for f in layout])
+    return spaces.Box(np.tile(low, repeat), np.tile(high, repeat), dtype=np.float32)
+
+
+def _split(vector: Array, layout: tuple[Field, ...]) -> dict[str, Array]:
+    ends = np.cumsum([f.size for f in layout])
+    return dict(zip((f.name for f in layout), np.split(vector, ends[:-1]), strict=True))
+
+
+def _join(values: Mapping[str, Any], layout: tuple[Field, ...]) -> NDArray[np.float32]:
+    parts = []
+    for f in layout:
+        part = np.atleast_1d(np.asarray(values[f.name], np.float64))
+        parts.append(np.clip(part, f.low, f.high))
+    return np.concatenate(parts).astype(np.float32)
+
+
+def _check_task(task: str) -> None:
+    if task not in GOAL_LAYOUTS:
+        raise ValueError(f"task must be one of {', '.join(GOAL_LAYOUTS)}; got {task!r}")
+
+
+def observation_space(task: str) -> spaces.Dict:
+    """Return the observation space of a task: four bounded float32 vectors.
+
+    Raises:
+        ValueError: no such task.
+    """
+    _check_task(task)
+    goal = _bounds(GOAL_LAYOUTS[task])
+    return spaces.Dict(
+        {
+            "observation": _bounds(STATE_LAYOUT),
+            "achieved_goal": goal,
+            "desired_goal": _bounds(GOAL_LAYOUTS[task]),
+            "obstacles": _bounds(OBSTACLE_LAYOUT, MAX_OBSTACLES),
+        }
+    )
+
+
+def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
+    """Return ``desired_goal`` of a scene, (G,): where the object's centre shall rest, and flags."""
+    if scene.manipulated is None:
+        raise ValueError(f"a scene of {scene.task} needs a manipulated object, got None")
+    x, y, z = scene.goals[0].position
+    values = {
+        "object_position": (x, y, z + scene.manipulated.size[2]),
+        "collided": 0.0,
+        "released": 1.0,
+        "at_rest": 1.0,
+    }
+    return _join(values, GOAL_LAYOUTS[scene.task])
+
+
+def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
+    width = sum(f.size for f in OBSTACLE_LAYOUT)
+    rows = np.zeros((MAX_OBSTACLES, width), np.float32)
+    for row, obstacle in zip(rows, obstacles, strict=False):
+        values = {
+            "present": 1.0,
+            "shape": [float(obstacle.shape == shape) for shape in SHAPES],
+            "position": obstacle.position,
+            "quaternion": obstacle.quaternion,
+            "size": obstacle.size,
+            "velocity": obstacle.velocity,
+        }
+        row[:] = _join(values, OBSTACLE_LAYOUT)
+    return rows.ravel()
+
+
+def encode(
+    scene: Scene,
+    robot: RobotState,
+    manipulated: ObjectState,
+    achieved_goal: Mapping[str, Any],
+    elapsed_steps: int,
+) -> Observation:
+    """Return the observation of a state.
+
+    Args:
+        scene: the episode's scene.
+        robot: state of arm and gripper.
+        manipulated: state of the object.
+        achieved_goal: values of the task's goal fields by name.
+        elapsed_steps: environment steps since the episode began.
+
+    Returns:
+        The four vectors, float32, clipped to the bounds of `observation_space`.
+    """
+    state = {
+        **vars(robot),
+        **{f"object_{name}": value for name, value in vars(manipulated).items()},
+        "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
+    }
+    return {
+        "observation": _join(state, STATE_LAYOUT),
+        "achieved_goal": _join(achieved_goal, GOAL_LAYOUTS[scene.task]),
+        "desired_goal": encode_desired_goal(scene),
+        "obstacles": _encode_obstacles(scene.obstacles),
+    }
+
+
+def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
+    obstacles = []
+    for row in flat.reshape(MAX_OBSTACLES, -1):
+        fields = _split(row, OBSTACLE_LAYOUT)
+        if fields["present"][0] < 0.5:
+            continue
+        quaternion = fields["quaternion"]
+        obstacles.append(
+            Obstacle(
+                shape=SHAPES[int(np.argmax(fields["shape"]))],  # type: ignore[arg-type]
+                position=tuple(fields["position"].tolist()),
+                quaternion=tuple((quaternion / np.linalg.norm(quaternion)).tolist()),
+                size=tuple(fields["size"].tolist()),
+                velocity=tuple(fields["velocity"].tolist()),
+            )
+        )
+    return tuple(obstacles)
+
+
+def _as_dict(observation: Any, task: str) -> dict[str, Array]:
+    """Check one raw or flattened observation and return its four vectors as float64."""
+    space = observation_space(task)
+    if isinstance(observation, Mapping):
+        if set(observation) != set(space.spaces):
+            raise ValueError(
+                f"observation must have the keys {sorted(space.spaces)}, got "
+                f"{sorted(map(str, observation))}: is it from a smp_gym environment?"
+            )
+        vectors = {key: np.asarray(observation[key]) for key in space.spaces}
+    else:
+        flat = np.asarray(observation)
+        if flat.shape != (spaces.flatdim(space),):
+            raise ValueError(
+                f"observation must be a dict or a flat vector of {spaces.flatdim(space)} entries, "
+                f"got {type(observation).__name__} of shape {flat.shape}"
+            )
+        vectors = spaces.unflatten(space, flat)  # type: ignore[assignment]
+    for key, vector in vectors.items():
+        box = space[key]
+        if vector.shape != box.shape:
+            raise ValueError(
+                f"observation[{key!r}] must have shape {box.shape}, got {vector.shape}"
+            )
+        outside = ~((vector >= box.low) & (vector <= box.high))  # type: ignore[attr-defined]
+        if outside.any():
+            index = int(np.argmax(outside))
+            raise ValueError(
+                f"observation[{key!r}][{index}] is {vector[index]}, outside its bounds "
+                f"[{box.low[index]}, {box.high[index]}]: "  # type: ignore[attr-defined]
+                "a normalised observation cannot be decoded"
+            )
+    return {key: vector.astype(np.float64) for key, vector in vectors.items()}
+
+
+def decode(observation: Any, task: str) -> DecodedObservation:
+    """Return what one observation says.
+
+    Args:
+        observation: one observation, raw (dict) or flattened (vector); not a batch.
+        task: the task it is from, one of `GOAL_LAYOUTS`.
+
+    Raises:
+        ValueError: keys, shapes or values are not those of such an observation.
+    """
+    vectors = _as_dict(observation, task)
+    state = _split(vectors["observation"], STATE_LAYOUT)
+    desired = _split(vectors["desired_goal"], GOAL_LAYOUTS[task])
+    achieved = _split(vectors["achieved_goal"], GOAL_LAYOUTS[task])
+    size = state["object_size"]
+    if not (size > 0).all():
+        raise ValueError(f"object_size in the observation must be positive, got {size}")
+    x, y, z = desired["object_position"].tolist()
+    scene = Scene(
+        task=task,
+        start=tuple(state["configuration"].tolist()),
+        manipulated=ManipulatedObject(size=tuple(size.tolist())),
+        goals=(Goal(position=(x, y, z - float(size[2]))),),
+        obstacles=_decode_obstacles(vectors["obstacles"]),
+    )
+    robot = RobotState(
+        configuration=state["configuration"],
+        reference=state["reference"],
+        joint_velocity=state["joint_velocity"],
+        finger_angles=state["finger_angles"],
+        gripper_reference=float(state["gripper_reference"][0]),
+        finger_velocity=state["finger_velocity"],
+        end_effector_position=state["end_effector_position"],
+        end_effector_quaternion=state["end_effector_quaternion"],
+    )
+    manipulated = ObjectState(
+        position=state["object_position"],
+        quaternion=state["object_quaternion"],
+        linear_velocity=state["object_linear_velocity"],
+        angular_velocity=state["object_angular_velocity"],
+        size=size,
+    )
+    return DecodedObservation(
+        scene=scene,
+        robot=robot,
+        object=manipulated,
+        elapsed_steps=round(float(state["elapsed"][0]) * MAX_EPISODE_STEPS),
+        collided=bool(achieved["collided"][0] > 0.5),
+    )

@@ -1,0 +1,234 @@
+"""Compiled inner loops of scene sampling: sphere paths, distances to obstacles, early exits.
+
+An obstacle is a row of `OBSTACLE_COLUMNS` numbers: shape (index into `smp_gym.scene.SHAPES`),
+position x, y, z, cosine and sine of its yaw, and its three half-extents. Paths of spheres are
+(T, S, 3) arrays of centres in the base frame; all lengths are metres.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = [
+    "OBSTACLE_COLUMNS",
+    "blocked_paths",
+    "path_clearance",
+    "point_distance",
+    "self_clearance",
+    "sphere_paths",
+]
+
+OBSTACLE_COLUMNS = 9
+"""Numbers of an obstacle's row."""
+
+_BOX, _CYLINDER = 0, 1
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def sphere_paths(
+    configurations: Array,
+    base: Array,
+    origins: Array,
+    link: NDArray[np.int64],
+    center: Array,
+) -> Array:
+    """Return the centres of link spheres for many configurations.
+
+    Args:
+        configurations: (N, 6) rad.
+        base: (4, 4) transform from the base frame to link 0.
+        origins: (6, 4, 4) transform from each link to the frame of the next joint at angle 0.
+        link: (S,) link of each sphere.
+        center: (S, 3) in the link's frame.
+
+    Returns:
+        (N, S, 3).
+    """
+    count, joints = configurations.shape
+    spheres = len(link)
+    out = np.empty((count, spheres, 3))
+    frames = np.empty((joints + 1, 3, 4))
+    for i in range(3):
+        for j in range(4):
+            frames[0, i, j] = base[i, j]
+    for n in range(count):
+        for k in range(joints):
+            c = math.cos(configurations[n, k])
+            s = math.sin(configurations[n, k])
+            for i in range(3):
+                a = frames[k, i, 0]
+                b = frames[k, i, 1]
+                d = frames[k, i, 2]
+                x = a * origins[k, 0, 0] + b * origins[k, 1, 0] + d * origins[k, 2, 0]
+                y = a * origins[k, 0, 1] + b * origins[k, 1, 1] + d * origins[k, 2, 1]
+                frames[k + 1, i, 0] = x * c + y * s
+                frames[k + 1, i, 1] = y * c - x * s
+                frames[k + 1, i, 2] = (
+                    a * origins[k, 0, 2] + b * origins[k, 1, 2] + d * origins[k, 2, 2]
+                )
+                frames[k + 1, i, 3] = (
+                    a * origins[k, 0, 3]
+                    + b * origins[k, 1, 3]
+                    + d * origins[k, 2, 3]
+                    + frames[k, i, 3]
+                )
+        for m in range(spheres):
+            f = frames[link[m]]
+            for i in range(3):
+                out[n, m, i] = (
+                    f[i, 0] * center[m, 0]
+                    + f[i, 1] * center[m, 1]
+                    + f[i, 2] * center[m, 2]
+                    + f[i, 3]
+                )
+    return out
+
+
+@njit(cache=True)
+def point_distance(x: float, y: float, z: float, obstacle: Array) -> float:
+    """Return the signed distance of a point to an obstacle's surface, negative inside."""
+    dx = x - obstacle[1]
+    dy = y - obstacle[2]
+    dz = z - obstacle[3]
+    if obstacle[0] == _BOX:
+        u = abs(obstacle[4] * dx + obstacle[5] * dy) - obstacle[6]
+        v = abs(obstacle[4] * dy - obstacle[5] * dx) - obstacle[7]
+        w = abs(dz) - obstacle[8]
+        outside = math.sqrt(max(u, 0.0) ** 2 + max(v, 0.0) ** 2 + max(w, 0.0) ** 2)
+        return outside + min(max(u, max(v, w)), 0.0)
+    if obstacle[0] == _CYLINDER:
+        u = math.sqrt(dx * dx + dy * dy) - obstacle[6]
+        w = abs(dz) - obstacle[8]
+        outside = math.sqrt(max(u, 0.0) ** 2 + max(w, 0.0) ** 2)
+        return outside + min(max(u, w), 0.0)
+    return math.sqrt(dx * dx + dy * dy + dz * dz) - obstacle[6]
+
+
+@njit(cache=True)
+def _bounding_radius(obstacle: Array) -> float:
+    if obstacle[0] == _BOX:
+        return math.sqrt(obstacle[6] ** 2 + obstacle[7] ** 2 + obstacle[8] ** 2)
+    if obstacle[0] == _CYLINDER:
+        return math.sqrt(obstacle[6] ** 2 + obstacle[8] ** 2)
+    return float(obstacle[6])
+
+
+@njit(cache=True)
+def path_clearance(centers: Array, radius: Array, obstacles: Array, enough: float) -> float:
+    """Return the least distance between spheres on a path and obstacles.
+
+    Args:
+        centers: (T, S, 3).
+        radius: (S,).
+        obstacles: (M, 9) rows.
+        enough: distances above need not be exact: the result is then `enough`.
+
+    Returns:
+        The least distance (negative where they overlap), at most `enough`.
+    """
+    least = enough
+    for m in range(len(obstacles)):
+        obstacle = obstacles[m]
+        bound = _bounding_radius(obstacle)
+        for t in range(centers.shape[0]):
+            for s in range(centers.shape[1]):
+                reach = least + radius[s]
+                far = reach + bound
+                dx = centers[t, s, 0] - obstacle[1]
+                dy = centers[t, s, 1] - obstacle[2]
+                dz = centers[t, s, 2] - obstacle[3]
+                if far <= 0.0 or dx * dx + dy * dy + dz * dz > far * far:
+                    continue
+                distance = (
+                    point_distance(
+                        centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
+                    )
+                    - radius[s]
+                )
+                least = min(least, distance)
+    return least
+
+
+@njit(cache=True)
+def _blocked(centers: Array, radius: Array, step: float, obstacle: Array, depth: float) -> bool:
+    """Return whether an obstacle reaches `depth` deep into a path's spheres.
+
+    Steps in which nothing can touch are skipped: no sphere moves more than `step` per sample.
+    """
+    bound = _bounding_radius(obstacle)
+    samples, spheres = centers.shape[0], centers.shape[1]
+    t = 0
+    while t < samples:
+        nearest = np.inf
+        for s in range(spheres - 1, -1, -1):
+            dx = centers[t, s, 0] - obstacle[1]
+            dy = centers[t, s, 1] - obstacle[2]
+            dz = centers[t, s, 2] - obstacle[3]
+            reach = radius[s] - depth
+            gap = math.sqrt(dx * dx + dy * dy + dz * dz) - bound - reach
+            if gap <= 0.0:
+                gap = (
+                    point_distance(
+                        centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
+                    )
+                    - reach
+                )
+                if gap <= 0.0:
+                    return True
+            nearest = min(nearest, gap)
+        t += max(1, int(nearest / step))
+    return False
+
+
+@njit(cache=True)
+def blocked_paths(
+    centers: Array, radius: Array, steps: Array, obstacles: Array, depth: float
+) -> NDArray[np.bool_]:
+    """Return which obstacles block which paths.
+
+    Args:
+        centers: (N, T, S, 3).
+        radius: (S,).
+        steps: (N,) longest way of any sphere between two samples of each path.
+        obstacles: (M, 9) rows.
+        depth: how deep an obstacle must reach into a sphere to block it; guards against calling
+            blocked what only the cover of spheres touches.
+
+    Returns:
+        (M, N), whether obstacle m blocks path n.
+    """
+    out = np.zeros((len(obstacles), len(centers)), np.bool_)
+    for m in range(len(obstacles)):
+        for n in range(len(centers)):
+            out[m, n] = _blocked(centers[n], radius, steps[n], obstacles[m], depth)
+    return out
+
+
+@njit(cache=True)
+def self_clearance(centers: Array, radius: Array, pairs: NDArray[np.int64]) -> float:
+    """Return the least distance between paired spheres on a path.
+
+    Args:
+        centers: (T, S, 3).
+        radius: (S,).
+        pairs: (P, 2) indices of spheres that may not touch.
+    """
+    least = np.inf
+    for t in range(centers.shape[0]):
+        for p in range(len(pairs)):
+            a = pairs[p, 0]
+            b = pairs[p, 1]
+            dx = centers[t, a, 0] - centers[t, b, 0]
+            dy = centers[t, a, 1] - centers[t, b, 1]
+            dz = centers[t, a, 2] - centers[t, b, 2]
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz) - radius[a] - radius[b]
+            least = min(least, distance)
+    return least
+
+

@@ -1,0 +1,198 @@
+"""Scenes: what an episode contains, as frozen data that goes to JSON and back.
+
+A scene holds everything that `reset` draws at random: obstacles, goals, the manipulated object and
+the start configuration. Lengths are metres in the robot's base frame, whose origin lies on the table
+top (z = 0, z up); angles are radians; quaternions are (x, y, z, w).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+__all__ = [
+    "BIN_FLOOR_THICKNESS",
+    "BIN_HEIGHT",
+    "BIN_INNER_HALF_WIDTH",
+    "BIN_WALL_THICKNESS",
+    "DIFFICULTIES",
+    "EVALUATION_SEEDS_START",
+    "MAX_OBSTACLES",
+    "SHAPES",
+    "TABLE",
+    "TASKS",
+    "Goal",
+    "ManipulatedObject",
+    "Obstacle",
+    "Scene",
+    "fixtures",
+]
+
+TASKS = ("Placement",)
+"""Names of the tasks, as they stand in the environment ids."""
+
+DIFFICULTIES = ("none", "easy", "medium", "hard")
+"""Difficulties, with 0 / 2 / 4 / 6 obstacles."""
+
+SHAPES = ("box", "cylinder", "sphere")
+"""Obstacle shapes, in the order of the one-hot code of an observation row."""
+
+MAX_OBSTACLES = 16
+"""Rows of obstacles in an observation; a scene never holds more."""
+
+EVALUATION_SEEDS_START = 100_000
+"""Seeds below are for tuning, seeds from here on for evaluation only."""
+
+BIN_INNER_HALF_WIDTH = 0.08
+BIN_WALL_THICKNESS = 0.01
+BIN_FLOOR_THICKNESS = 0.01
+BIN_HEIGHT = 0.10
+"""The bin of Placement: a square open box, metres; `BIN_HEIGHT` is from its floor's top to its rim."""
+
+
+def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = math.sqrt(sum(c * c for c in quaternion))
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"quaternion must have norm 1, got {quaternion} with norm {norm:.6g}")
+    return quaternion
+
+
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Configuration = tuple[
+    FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat
+]
+Quaternion = Annotated[
+    tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_unit)
+]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Size = tuple[Positive, Positive, Positive]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Obstacle(_Frozen):
+    """A rigid body that nothing may touch.
+
+    Attributes:
+        shape: "box", "cylinder" (axis along its z) or "sphere".
+        position: centre, m.
+        quaternion: orientation (x, y, z, w).
+        size: half-extents along its own axes, m: (hx, hy, hz) of a box, (radius, radius,
+            half height) of a cylinder, (radius, radius, radius) of a sphere.
+        velocity: linear velocity, m/s.
+    """
+
+    shape: Literal["box", "cylinder", "sphere"]
+    position: Vector3
+    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    size: Size
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Obstacle:
+        x, y, z = self.size
+        if self.shape == "cylinder" and x != y:
+            raise ValueError(f"size of a cylinder is (radius, radius, half height), got {self.size}")
+        if self.shape == "sphere" and not (x == y == z):
+            raise ValueError(f"size of a sphere is (radius, radius, radius), got {self.size}")
+        return self
+
+
+class ManipulatedObject(_Frozen):
+    """The box that the task moves.
+
+    Attributes:
+        size: half-extents, m.
+        mass: kg.
+    """
+
+    size: Size = (0.025, 0.025, 0.03)
+    mass: Positive = 0.1
+
+
+class Goal(_Frozen):
+    """Where the object shall end.
+
+    Attributes:
+        kind: "bin", an open box in which the object must come to rest.
+        position: centre of the surface on which the object comes to rest, m.
+    """
+
+    kind: Literal["bin"] = "bin"
+    position: Vector3
+
+
+class Scene(_Frozen):
+    """Everything that one episode draws at random.
+
+    Attributes:
+        task: name of the task, one of `TASKS`.
+        version: version of the task's scene distribution; part of what determines the scene.
+        difficulty: one of `DIFFICULTIES`, or "custom" for a scene made by hand.
+        seed: the seed it was drawn from, or None for a scene made by hand.
+        start: joint angles at the start of the episode, rad.
+        manipulated: the object, or None in tasks without one.
+        goals: at least one goal; reaching any one of them is success.
+        obstacles: at most `MAX_OBSTACLES`.
+    """
+
+    task: str
+    version: int = 0
+    difficulty: Literal["none", "easy", "medium", "hard", "custom"] = "custom"
+    seed: int | None = Field(default=None, ge=0)
+    start: Configuration
+    manipulated: ManipulatedObject | None = None
+    goals: tuple[Goal, ...] = Field(min_length=1)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MAX_OBSTACLES)
+
+    @model_validator(mode="after")
+    def _task_exists(self) -> Scene:
+        if self.task not in TASKS:
+            raise ValueError(f"task must be one of {', '.join(TASKS)}; got {self.task!r}")
+        return self
+
+    def to_json(self) -> str:
+        """Return the scene as one JSON object; `from_json` gives it back exactly."""
+        return self.model_dump_json()
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Scene:
+        """Parse what `to_json` wrote.
+
+        Raises:
+            ValueError: the text is not JSON or not a scene; the message names field and value.
+        """
+        return cls.model_validate_json(text)
+
+
+TABLE = Obstacle(shape="box", position=(0.0, 0.0, -0.05), size=(1.5, 1.5, 0.05))
+"""The table, its top at z = 0."""
+
+
+def _bin_boxes(goal: Goal) -> tuple[Obstacle, ...]:
+    x, y, z = goal.position
+    inner, wall = BIN_INNER_HALF_WIDTH, BIN_WALL_THICKNESS / 2
+    outer = inner + BIN_WALL_THICKNESS
+    floor = BIN_FLOOR_THICKNESS / 2
+    height = BIN_HEIGHT / 2
+    floor_box = Obstacle(shape="box", position=(x, y, z - floor), size=(outer, outer, floor))
+    walls = (
+        ((x + inner + wall, y, z + height), (wall, outer, height)),
+        ((x - inner - wall, y, z + height), (wall, outer, height)),
+        ((x, y + inner + wall, z + height), (inner, wall, height)),
+        ((x, y - inner - wall, z + height), (inner, wall, height)),
+    )
+    return (floor_box, *(Obstacle(shape="box", position=p, size=s) for p, s in walls))
+
+
+def fixtures(scene: Scene) -> tuple[Obstacle, ...]:
+    """Return the bodies that the task itself brings: the table first, then bins.
+
+    They are no obstacles (the object may rest on them), but the arm must not touch them.
+    """
+    bins = tuple(box for goal in scene.goals if goal.kind == "bin" for box in _bin_boxes(goal))
+    return (TABLE, *bins)

@@ -1,0 +1,82 @@
+"""The tasks: what an episode is about, told without a physics engine.
+
+A task is a small frozen object. It says where an episode starts, which contacts it needs, what its
+goal vectors hold and when they mean success; the environment asks it after every step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.scene import TASKS, Scene
+from smp_gym.tasks.placement import Placement
+from smp_gym.tasks.status import Status
+
+__all__ = ["Status", "Task", "make_task"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class Task(Protocol):
+    """What the environment asks of a task. Goal vectors are those of `GOAL_LAYOUTS`."""
+
+    @property
+    def name(self) -> str:
+        """Name, one of `smp_gym.scene.TASKS`."""
+        ...
+
+    @property
+    def version(self) -> int:
+        """Version of the task's scene distribution."""
+        ...
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ValueError if an episode of this task cannot be played in the scene."""
+        ...
+
+    def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
+        """Return the pairs of groups that may touch, names in alphabetical order.
+
+        The groups are ``arm`` (base and links 1 to 5), ``hand`` (palm and fingers), ``object``,
+        ``obstacle``, ``table`` and ``bin``. Any other contact is a collision.
+
+        Args:
+            held: whether the hand grips the object.
+        """
+        ...
+
+    def achieved_goal(self, status: Status) -> dict[str, Any]:
+        """Return the values of the achieved goal by field name."""
+        ...
+
+    def failure(self, status: Status) -> str:
+        """Return why the episode can no longer succeed, or an empty string."""
+        ...
+
+    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) are reached, (...)."""
+        ...
+
+    def collided(self, achieved: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) tell of a collision, (...)."""
+        ...
+
+    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return the potential (...) whose differences make up the dense reward."""
+        ...
+
+
+def make_task(name: str) -> Task:
+    """Return a task by name.
+
+    Raises:
+        ValueError: no such task.
+    """
+    tasks: dict[str, Task] = {"Placement": Placement()}
+    if name not in tasks:
+        raise ValueError(f"task must be one of {', '.join(TASKS)}; got {name!r}")
+    return tasks[name]

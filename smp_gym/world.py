@@ -1,0 +1,423 @@
+"""One physics world: named bodies, contacts, clearances, snapshots and cameras.
+
+Everything that speaks to PyBullet speaks through a `BulletWorld` or through the arm that lives in it.
+Bodies and links are called by name; a contact is a pair of names.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import weakref
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from smp_gym.scene import MAX_OBSTACLES, Obstacle
+
+__all__ = ["PHYSICS_PERIOD", "BulletWorld", "Camera", "Contact"]
+
+PHYSICS_PERIOD = 1.0 / 240.0
+"""Seconds per physics step."""
+
+GRAVITY = 9.81
+"""m/s^2, downwards."""
+
+Contact = tuple[str, str]
+"""Names of two touching parts (a link of the arm, or a body), in alphabetical order."""
+
+FloatArray = NDArray[np.float64]
+Color = tuple[float, float, float, float]
+
+OBSTACLE_COLORS: tuple[Color, ...] = (
+    (0.84, 0.37, 0.30, 1.0),
+    (0.95, 0.62, 0.29, 1.0),
+    (0.35, 0.60, 0.76, 1.0),
+    (0.55, 0.45, 0.70, 1.0),
+    (0.40, 0.66, 0.50, 1.0),
+    (0.85, 0.53, 0.62, 1.0),
+)
+"""Obstacles take these in turn, so that neighbours can be told apart."""
+
+_PARKING = (0.0, 0.0, -20.0)
+_PARKED_RADIUS = 0.01
+_SKY_COLOR = "--background_color_red=0.93 --background_color_green=0.95 --background_color_blue=0.97"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from.
+
+    Attributes:
+        target: point in the middle of the picture, m.
+        distance: from the target, m.
+        yaw: degrees about the vertical; 0 looks along +y, 90 along -x.
+        pitch: degrees above the horizontal, negative looking down.
+        field_of_view: vertical opening, degrees.
+    """
+
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    distance: float = 1.5
+    yaw: float = 0.0
+    pitch: float = -30.0
+    field_of_view: float = 45.0
+
+
+def _disconnect(client: int) -> None:
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)
+
+
+def _connect(gui: bool) -> int:
+    if not gui:
+        return int(pybullet.connect(pybullet.DIRECT))
+    # PyBullet ends the whole process when it finds no X server, so ask before it does.
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise RuntimeError(
+            "a window needs a display, but DISPLAY is not set: use render_mode='rgb_array', "
+            "or run under an X server (for example xvfb-run)"
+        )
+    client = int(pybullet.connect(pybullet.GUI, options=_SKY_COLOR))
+    if client < 0:
+        raise RuntimeError(
+            "PyBullet could not open its window; it allows one window per process"
+        )
+    pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
+    return client
+
+
+class BulletWorld:
+    """A physics world of its own, independent of any other in the process.
+
+    What happens in it is a function of the calls made since `clear`: bit for bit the same in another
+    process, and after `restore` whatever happened in between. Bodies of varying shape are therefore
+    confined to a pool of obstacles whose size never changes (`set_obstacles`).
+
+    Args:
+        gui: open PyBullet's window instead of computing without one.
+
+    Raises:
+        RuntimeError: a window was asked for and there is no display for it.
+    """
+
+    def __init__(self, *, gui: bool = False) -> None:
+        self.client = _connect(gui)
+        self.gui = gui
+        self._finalizer = weakref.finalize(self, _disconnect, self.client)
+        self.clear()
+
+    def clear(self) -> None:
+        """Remove all bodies and forget all snapshots."""
+        pybullet.resetSimulation(physicsClientId=self.client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=PHYSICS_PERIOD,
+            deterministicOverlappingPairs=1,
+            physicsClientId=self.client,
+        )
+        self.set_gravity(True)
+        self._bodies: dict[str, int] = {}
+        self._parts: dict[tuple[int, int], str] = {}
+        self._pairs: dict[tuple[int, int, int, int], Contact] = {}
+        self._obstacles: list[str] = []
+        for slot in range(MAX_OBSTACLES):
+            self._park(slot)
+
+    def set_gravity(self, on: bool) -> None:
+        """Switch gravity on or off."""
+        pybullet.setGravity(0.0, 0.0, -GRAVITY if on else 0.0, physicsClientId=self.client)
+
+    def close(self) -> None:
+        """End the world; closing again does nothing."""
+        self._finalizer()
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return not self._finalizer.alive
+
+    # Bodies
+
+    def add_body(
+        self,
+        name: str,
+        parts: Sequence[Obstacle],
+        *,
+        color: Color,
+        position: Sequence[float] = (0.0, 0.0, 0.0),
+        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        mass: float = 0.0,
+    ) -> None:
+        """Add a rigid body made of primitive shapes.
+
+        Args:
+            name: what contacts and `pose` call it.
+            parts: shapes with their poses in the body's frame.
+            color: red, green, blue, opacity, each 0 to 1.
+            position: of the body's frame, m.
+            quaternion: of the body's frame, (x, y, z, w).
+            mass: kg; 0 makes it immovable.
+        """
+        collision, visual = self._shapes(parts, color)
+        body = pybullet.createMultiBody(
+            baseMass=mass,
+            baseCollisionShapeIndex=collision,
+            baseVisualShapeIndex=visual,
+            basePosition=position,
+            baseOrientation=quaternion,
+            physicsClientId=self.client,
+        )
+        self._name(name, int(body))
+
+    def load_urdf(self, name: str, path: Path, flags: int = 0) -> int:
+        """Load a robot fixed to the world; its links go by the names that the file gives them.
+
+        Returns:
+            PyBullet's number of the body.
+        """
+        body = int(
+            pybullet.loadURDF(
+                str(path), useFixedBase=True, flags=flags, physicsClientId=self.client
+            )
+        )
+        self._name(name, body)
+        base, _ = pybullet.getBodyInfo(body, physicsClientId=self.client)
+        self._parts[body, -1] = base.decode()
+        for joint in range(pybullet.getNumJoints(body, physicsClientId=self.client)):
+            info = pybullet.getJointInfo(body, joint, physicsClientId=self.client)
+            self._parts[body, joint] = info[12].decode()
+        return body
+
+    def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
+        """Replace all obstacles; they are called ``obstacle_0``, ``obstacle_1``, ….
+
+        Call it after `restore`, never between a `snapshot` and the steps that shall follow from it.
+        """
+        # Bodies are always renewed in the order of their slots: the solver works in the order of
+        # creation, so an obstacle kept from an earlier episode would carry that episode's order on.
+        used = max(len(obstacles), len(self._obstacles))
+        self._obstacles = []
+        for slot in range(used):
+            self._remove(f"obstacle_{slot}")
+        for slot in range(used):
+            if slot < len(obstacles):
+                obstacle = obstacles[slot]
+                name = f"obstacle_{slot}"
+                shape = obstacle.model_copy(
+                    update={"position": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
+                )
+                self.add_body(
+                    name,
+                    (shape,),
+                    color=OBSTACLE_COLORS[slot % len(OBSTACLE_COLORS)],
+                    position=obstacle.position,
+                    quaternion=obstacle.quaternion,
+                )
+                self._obstacles.append(name)
+            else:
+                self._park(slot)
+
+    def body(self, name: str) -> int:
+        """Return PyBullet's number of a body."""
+        return self._bodies[name]
+
+    def part(self, body: int, link: int) -> str:
+        """Return the name of a body's link, -1 being its base, by PyBullet's numbers."""
+        return self._parts[body, link]
+
+    def place(
+        self,
+        name: str,
+        position: Sequence[float],
+        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+    ) -> None:
+        """Put a body somewhere, at rest; nothing may touch it where it is."""
+        pybullet.resetBasePositionAndOrientation(
+            self._bodies[name], position, quaternion, physicsClientId=self.client
+        )
+
+    def pose(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return position (3,) m and quaternion (4,) of a body."""
+        position, quaternion = pybullet.getBasePositionAndOrientation(
+            self._bodies[name], physicsClientId=self.client
+        )
+        return np.array(position), np.array(quaternion)
+
+    def velocity(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return linear (3,) m/s and angular (3,) rad/s velocity of a body."""
+        linear, angular = pybullet.getBaseVelocity(self._bodies[name], physicsClientId=self.client)
+        return np.array(linear), np.array(angular)
+
+    # Time
+
+    def step(self) -> None:
+        """Advance by `PHYSICS_PERIOD`."""
+        pybullet.stepSimulation(physicsClientId=self.client)
+
+    def detect_contacts(self) -> None:
+        """Bring `contacts` up to date without advancing time."""
+        pybullet.performCollisionDetection(physicsClientId=self.client)
+
+    def contacts(self) -> set[Contact]:
+        """Return the pairs of parts that touch: that press on each other or overlap."""
+        pairs = self._pairs
+        found = set()
+        for point in pybullet.getContactPoints(physicsClientId=self.client):
+            # The engine also reports points that are merely near (distance > 0, no force).
+            if point[9] > 0.0 or point[8] < 0.0:
+                key = point[1:5]
+                pair = pairs.get(key)
+                if pair is None:
+                    pair = pairs[key] = self._pair(*key)
+                found.add(pair)
+        return found
+
+    def clearance(self, names: Iterable[str], others: Iterable[str], limit: float) -> float:
+        """Return the least distance between two groups of bodies, m.
+
+        Args:
+            names: bodies of the first group.
+            others: bodies of the second group.
+            limit: distances are not looked for beyond this, m.
+
+        Returns:
+            The distance, negative where bodies overlap, at most `limit`.
+        """
+        others = tuple(others)
+        least = limit
+        for name in names:
+            for other in others:
+                points = pybullet.getClosestPoints(
+                    self._bodies[name], self._bodies[other], least, physicsClientId=self.client
+                )
+                least = min((point[8] for point in points), default=least)
+        return float(min(least, limit))
+
+    # Snapshots
+
+    def snapshot(self) -> int:
+        """Keep the present state of all bodies in memory and return its number."""
+        return int(pybullet.saveState(physicsClientId=self.client))
+
+    def restore(self, snapshot: int) -> None:
+        """Return to a state; bodies must be the same as then, obstacles excepted."""
+        pybullet.restoreState(stateId=snapshot, physicsClientId=self.client)
+
+    # Pictures
+
+    def picture(self, camera: Camera, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the world, (height, width, 3), computed without a graphics card."""
+        view = pybullet.computeViewMatrixFromYawPitchRoll(
+            camera.target, camera.distance, camera.yaw, camera.pitch, 0.0, 2
+        )
+        projection = pybullet.computeProjectionMatrixFOV(
+            camera.field_of_view, width / height, 0.05, 10.0
+        )
+        pixels = pybullet.getCameraImage(
+            width,
+            height,
+            view,
+            projection,
+            shadow=1,
+            lightDirection=(1.0, -1.2, 3.0),
+            lightAmbientCoeff=0.6,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.15,
+            renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self.client,
+        )[2]
+        image = np.asarray(pixels, np.uint8).reshape(height, width, 4)
+        return np.ascontiguousarray(image[:, :, :3])
+
+    def look(self, camera: Camera) -> None:
+        """Turn the window's camera."""
+        pybullet.resetDebugVisualizerCamera(
+            camera.distance,
+            camera.yaw,
+            camera.pitch,
+            camera.target,
+            physicsClientId=self.client,
+        )
+
+    # Internals
+
+    def _name(self, name: str, body: int) -> None:
+        self._bodies[name] = body
+        self._parts[body, -1] = name
+
+    def _pair(self, body_a: int, body_b: int, link_a: int, link_b: int) -> Contact:
+        a, b = sorted((self._parts[body_a, link_a], self._parts[body_b, link_b]))
+        return a, b
+
+    def _remove(self, name: str) -> None:
+        body = self._bodies.pop(name)
+        del self._parts[body, -1]
+        # PyBullet gives the numbers of removed bodies to new ones.
+        self._pairs = {key: pair for key, pair in self._pairs.items() if body not in key[:2]}
+        pybullet.removeBody(body, physicsClientId=self.client)
+
+    def _park(self, slot: int) -> None:
+        x, y, z = _PARKING
+        speck = Obstacle(shape="sphere", position=(0.0, 0.0, 0.0), size=(_PARKED_RADIUS,) * 3)
+        self.add_body(
+            f"obstacle_{slot}", (speck,), color=(0.0, 0.0, 0.0, 0.0), position=(x + slot, y, z)
+        )
+
+    def _shapes(self, parts: Sequence[Obstacle], color: Color) -> tuple[int, int]:
+        kinds: list[int] = []
+        radii: list[float] = []
+        lengths: list[float] = []
+        for part in parts:
+            kind = {
+                "box": pybullet.GEOM_BOX,
+                "cylinder": pybullet.GEOM_CYLINDER,
+                "sphere": pybullet.GEOM_SPHERE,
+            }[part.shape]
+            kinds.append(kind)
+            radii.append(part.size[0])
+            lengths.append(2.0 * part.size[2])
+        if len(parts) == 1 and parts[0].position == (0.0, 0.0, 0.0):
+            return self._single_shape(kinds[0], parts[0], color)
+        common: dict[str, Any] = {
+            "shapeTypes": kinds,
+            "radii": radii,
+            "halfExtents": [list(part.size) for part in parts],
+            "lengths": lengths,
+            "physicsClientId": self.client,
+        }
+        positions = [list(part.position) for part in parts]
+        quaternions = [list(part.quaternion) for part in parts]
+        collision = pybullet.createCollisionShapeArray(
+            collisionFramePositions=positions, collisionFrameOrientations=quaternions, **common
+        )
+        visual = pybullet.createVisualShapeArray(
+            visualFramePositions=positions,
+            visualFrameOrientations=quaternions,
+            rgbaColors=[list(color)] * len(parts),
+            **common,
+        )
+        return int(collision), int(visual)
+
+    def _single_shape(self, kind: int, part: Obstacle, color: Color) -> tuple[int, int]:
+        radius, height = part.size[0], 2.0 * part.size[2]
+        collision = pybullet.createCollisionShape(
+            kind,
+            radius=radius,
+            halfExtents=part.size,
+            height=height,
+            physicsClientId=self.client,
+        )
+        visual = pybullet.createVisualShape(
+            kind,
+            radius=radius,
+            halfExtents=part.size,
+            length=height,
+            rgbaColor=color,
+            physicsClientId=self.client,
+        )
+        return int(collision), int(visual)

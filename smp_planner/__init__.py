@@ -1,0 +1,1 @@
+"""Movement primitives adapted to new scenes by Stein variational gradient descent."""

@@ -1,0 +1,235 @@
+"""The command ``smp-bench``: measure methods, look at results, draw one episode."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from smp_planner.benchmark.episodes import EpisodeRow
+    from smp_planner.benchmark.store import Manifest
+
+__all__ = ["app"]
+
+_INTERRUPTED = 130
+
+app = typer.Typer(
+    name="smp-bench",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help=(
+        "Measure planners on randomised manipulation episodes, judged by the physics engine.\n\n"
+        "Start with [bold]smp-bench list[/bold], then for example:\n\n"
+        "[green]smp-bench run --methods smp,promp --episodes 20 --out results/first[/green]"
+    ),
+)
+
+_Difficulty = Annotated[
+    str, typer.Option(help="How many obstacles: none 0, easy 2, medium 4, hard 6.")
+]
+
+
+def _console(error: bool = False) -> Console:
+    return Console(stderr=error, highlight=False)
+
+
+def _fail(message: str, code: int) -> typer.Exit:
+    _console(error=True).print(f"[bold red]error:[/] {escape(message)}", soft_wrap=True)
+    return typer.Exit(code)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+@app.command("list")
+def list_command() -> None:
+    """List the tasks, methods and difficulties that `run` knows."""
+    from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
+    from smp_planner.planners import PLANNERS
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_row("[bold]tasks[/]", ", ".join(TASKS))
+    table.add_row("[bold]methods[/]", ", ".join(PLANNERS))
+    table.add_row("[bold]difficulties[/]", ", ".join(DIFFICULTIES))
+    table.add_row(
+        "[bold]seeds[/]",
+        f"tuning 0–{EVALUATION_SEEDS_START - 1}, evaluation {EVALUATION_SEEDS_START} and up",
+    )
+    _console().print(table)
+
+
+@app.command()
+def run(
+    out: Annotated[Path, typer.Option(help="Folder of the results; made if there is none.")],
+    tasks: Annotated[str, typer.Option(help="Names of tasks, separated by commas.")] = "Placement",
+    methods: Annotated[
+        str, typer.Option(help="Names of methods, separated by commas.")
+    ] = "smp,promp",
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each task and method.")] = 20,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Seed of the first episode; episode k has seed + k, the same scene for every "
+            "method. Tune on seeds below 100000 only.",
+        ),
+    ] = 100_000,
+    difficulty: _Difficulty = "medium",
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
+    ] = None,
+    restart: Annotated[
+        bool,
+        typer.Option(
+            "--restart", help="Start anew if the folder holds results of other settings or code."
+        ),
+    ] = False,
+    figure: Annotated[
+        bool, typer.Option(help="Draw the first episode of each task and method.")
+    ] = True,
+    video: Annotated[
+        bool, typer.Option(help="Film the first episode of each task and method.")
+    ] = True,
+) -> None:
+    """Play episodes and write table, figure and video.
+
+    Writes into the folder [bold]--out[/bold]: [cyan]episodes.csv[/cyan] (a row per episode),
+    [cyan]summary.json[/cyan] (rates with Wilson and means with bootstrap intervals),
+    [cyan]scene_TASK_METHOD.png[/cyan] and [cyan]episode_TASK_METHOD.mp4[/cyan].
+
+    Each row is stored as its episode ends. After an interruption the same command continues where
+    it stopped; with more --episodes it adds to what is there. A folder of other settings, other
+    package versions or other code is refused, unless --restart is given.
+
+    Example: [green]smp-bench run --methods smp,promp --episodes 200 --seed 100000 --out
+    results/medium[/green]
+    """
+    from smp_planner.benchmark.runner import (
+        EpisodeFailedError,
+        WorkerDiedError,
+        available_cores,
+        make_manifest,
+    )
+    from smp_planner.benchmark.store import ResultsError
+
+    try:
+        manifest = make_manifest(_names(tasks), _names(methods), difficulty, seed, episodes)
+    except ValueError as error:
+        raise _fail(str(error), 2) from error
+    workers = jobs or available_cores()
+    try:
+        rows = _run_with_progress(manifest, out, workers, restart)
+    except ResultsError as error:
+        raise _fail(str(error), 2) from error
+    except (WorkerDiedError, EpisodeFailedError) as error:
+        raise _fail(str(error), 1) from error
+    except KeyboardInterrupt as error:
+        message = f"interrupted; the episodes so far are kept in {str(out)!r}: the same command "
+        raise _fail(message + "continues there", _INTERRUPTED) from error
+    _finish(manifest, rows, out)
+    _draw(manifest, out, workers, figure, video)
+
+
+def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) -> list[EpisodeRow]:
+    from smp_planner.benchmark.runner import run as run_episodes
+
+    with Progress(
+        TextColumn("episodes"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=_console(error=True),
+    ) as progress:
+        bar = progress.add_task("episodes", total=None)
+        return run_episodes(
+            manifest,
+            out,
+            jobs=jobs,
+            restart=restart,
+            on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
+
+
+def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
+    """Write table and summary, and show the summary."""
+    from smp_planner.benchmark.report import summarise, table
+    from smp_planner.benchmark.store import write_csv, write_json
+
+    summary = summarise(manifest, rows)
+    write_csv(out / "episodes.csv", rows)
+    write_json(out / "summary.json", summary)
+    console = _console()
+    console.print(table(summary))
+    for name in ("episodes.csv", "summary.json"):
+        console.print(f"wrote {escape(str(out / name))}", soft_wrap=True)
+
+
+def _draw(
+    manifest: Manifest, out: Path, jobs: int, figure: bool = True, video: bool = True
+) -> None:
+    """Play the first episode of each task and method again and write its figure and video."""
+    from smp_planner.benchmark.runner import draw as draw_episodes
+
+    keys = [key for key in manifest.episode_keys() if key.seed == manifest.seed]
+    with _console(error=True).status("drawing figures and videos"):
+        written = draw_episodes(keys, out, jobs=jobs, figure=figure, video=video)
+    for path in written:
+        _console().print(f"wrote {escape(str(path))}", soft_wrap=True)
+
+
+@app.command()
+def show(
+    folder: Annotated[Path, typer.Argument(help="Folder that `run` wrote, finished or not.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Show the table of a folder of results again."""
+    from smp_planner.benchmark.report import summarise, table
+    from smp_planner.benchmark.store import ResultsError, read_results
+
+    try:
+        manifest, rows = read_results(folder)
+    except ResultsError as error:
+        raise _fail(str(error), 2) from error
+    summary = summarise(manifest, rows)
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2))
+        return
+    console = _console()
+    console.print(table(summary))
+    total = len(manifest.episode_keys())
+    if len(rows) < total:
+        console.print(f"unfinished: {len(rows)} of {total} episodes")
+
+
+@app.command()
+def draw(
+    out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
+    task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
+    method: Annotated[str, typer.Option(help="Name of the method.")] = "smp",
+    difficulty: _Difficulty = "medium",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 100_000,
+    figure: Annotated[bool, typer.Option(help="Draw scene and particles.")] = True,
+    video: Annotated[bool, typer.Option(help="Film the episode.")] = True,
+) -> None:
+    """Play one episode and write its figure and its video.
+
+    Example: [green]smp-bench draw --method smp --seed 7 --out results/seven[/green]
+    """
+    from smp_planner.benchmark.runner import make_manifest
+
+    try:
+        manifest = make_manifest((task,), (method,), difficulty, seed, 1)
+    except ValueError as error:
+        raise _fail(str(error), 2) from error
+    _draw(manifest, out, 1, figure, video)

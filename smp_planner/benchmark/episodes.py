@@ -1,0 +1,242 @@
+"""One episode of the benchmark: which it is, how it is played, and the row that is kept of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.observation import DecodedObservation, decode
+from smp_gym.scene import Scene
+from smp_planner.policy import PlannerPolicy
+from smp_planner.problem import Plan
+
+__all__ = [
+    "WARM_UP_SEED",
+    "EpisodeKey",
+    "EpisodePlayer",
+    "EpisodeRow",
+    "Rollout",
+    "environment_id",
+    "play",
+    "roll_out",
+]
+
+WARM_UP_SEED = 0
+"""Tuning seed whose episode a worker plans once, unrecorded, so that no row times a compilation."""
+
+
+@dataclass(frozen=True, order=True)
+class EpisodeKey:
+    """What identifies an episode of a method.
+
+    Attributes:
+        task: name of the task, one of `smp_gym.scene.TASKS`.
+        method: name of the method, one of `smp_planner.planners.PLANNERS`.
+        difficulty: one of `smp_gym.scene.DIFFICULTIES`.
+        seed: with which the environment is reset; equal seeds are equal scenes for every method.
+    """
+
+    task: str
+    method: str
+    difficulty: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class EpisodeRow:
+    """What is kept of one episode.
+
+    All but the times at the end depends on the key alone. ``None`` stands where a method has no
+    particles.
+
+    Attributes:
+        task: see `EpisodeKey`, as the next three.
+        method: name of the method.
+        difficulty: name of the difficulty.
+        seed: of the episode.
+        success: whether the physics engine judged the episode a success.
+        collision: whether a forbidden contact ended it.
+        cause: why it failed; empty after a success.
+        goal_error: distance from the object's centre to where it should rest, when the episode
+            ended, m.
+        path_length: way of the end effector, m.
+        clearance: least distance of arm or held object to an obstacle, judged by the physics, m.
+        steps: environment steps.
+        share_collision_free: share of the particles that are collision-free on the exact map.
+        share_executable: share within the joint limits and the planner's limit of duration.
+        share_good: share that are both.
+        chosen_collision_free: whether the executed particle is collision-free.
+        chosen_executable: whether it is executable.
+        chosen_clearance: its least distance to anything in the exact map, m.
+        chosen_goal_error: distance of its end to the nearest goal region, m.
+        chosen_duration: its shortest execution within the joint velocity limits, s.
+        message: what the planner said when no particle was good.
+        planning_time: time of the whole plan, s.
+        episode_time: time of the episode from reset to its end, planning included, s.
+        stage_times: time of each stage of the plan by name, s; not in the CSV.
+    """
+
+    task: str
+    method: str
+    difficulty: str
+    seed: int
+    success: bool
+    collision: bool
+    cause: str
+    goal_error: float
+    path_length: float
+    clearance: float | None
+    steps: int
+    share_collision_free: float | None = None
+    share_executable: float | None = None
+    share_good: float | None = None
+    chosen_collision_free: bool | None = None
+    chosen_executable: bool | None = None
+    chosen_clearance: float | None = None
+    chosen_goal_error: float | None = None
+    chosen_duration: float | None = None
+    message: str = ""
+    planning_time: float = 0.0
+    episode_time: float = 0.0
+    stage_times: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def key(self) -> EpisodeKey:
+        """Which episode this is."""
+        return EpisodeKey(self.task, self.method, self.difficulty, self.seed)
+
+
+class EpisodePlayer(Protocol):
+    """Anything that plays an episode by its key; must be picklable."""
+
+    def __call__(self, key: EpisodeKey) -> EpisodeRow:
+        """Return the row of one episode."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One played episode.
+
+    Attributes:
+        row: what the store keeps.
+        scene: as the first observation tells it.
+        plan: the particles.
+        object_path: (steps + 1, 3) m, positions of the object's centre.
+        frames: rendered images (H, W, 3) uint8, one per step and one of the start; empty unless
+            the environment renders.
+    """
+
+    row: EpisodeRow
+    scene: Scene
+    plan: Plan
+    object_path: NDArray[np.float64]
+    frames: tuple[NDArray[np.uint8], ...]
+
+
+def environment_id(task: str) -> str:
+    """Return the Gymnasium id under which a task is registered."""
+    return f"smp_gym/{task}-v0"
+
+
+def _goal_error(decoded: DecodedObservation) -> float:
+    """Return the distance of the object's centre to the nearest place where it should rest, m."""
+    places = np.array([goal.position for goal in decoded.scene.goals])
+    places[:, 2] += decoded.object.size[2]
+    return float(np.linalg.norm(places - decoded.object.position, axis=1).min())
+
+
+def _of_plan(plan: Plan) -> dict[str, Any]:
+    """Return the columns that speak of the particles."""
+    chosen = plan.chosen
+    return {
+        "share_collision_free": float(plan.collision_free.mean()),
+        "share_executable": float(plan.executable.mean()),
+        "share_good": float(plan.good.mean()),
+        "chosen_collision_free": bool(plan.collision_free[chosen]),
+        "chosen_executable": bool(plan.executable[chosen]),
+        "chosen_clearance": float(plan.clearance[chosen]),
+        "chosen_goal_error": float(plan.goal_error[chosen]),
+        "chosen_duration": float(plan.duration[chosen]),
+        "message": plan.message,
+        "planning_time": plan.planning_time,
+        "stage_times": {name: float(seconds) for name, seconds in plan.timings.items()},
+    }
+
+
+def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> Rollout:
+    """Play one episode to its end with the best particle of each plan.
+
+    Args:
+        key: names the episode; its seed resets the environment.
+        env: an environment of the key's task and difficulty; renders if made to.
+        policy: acts.
+    """
+    rendering = env.render_mode == "rgb_array"
+    frames: list[Any] = []
+    began = time.perf_counter()
+    observation, info = env.reset(seed=key.seed)
+    first = decoded = decode(observation, key.task)
+    hand, carried = [decoded.robot.end_effector_position], [decoded.object.position]
+    state = None
+    clearance = math.inf
+    steps, over = 0, False
+    while not over:
+        if rendering:
+            frames.append(env.render())
+        action, state = policy.predict(observation, state, deterministic=True)
+        observation, _, terminated, truncated, info = env.step(action)
+        decoded = decode(observation, key.task)
+        hand.append(decoded.robot.end_effector_position)
+        carried.append(decoded.object.position)
+        clearance = min(clearance, float(info["clearance"]))
+        steps += 1
+        over = terminated or truncated
+    if rendering:
+        frames.append(env.render())
+    elapsed = time.perf_counter() - began
+    if state is None:
+        raise RuntimeError(f"the policy of {key} returned no state")
+    plan = state[0].plan
+    success = bool(info["is_success"])
+    row = EpisodeRow(
+        task=key.task,
+        method=key.method,
+        difficulty=key.difficulty,
+        seed=key.seed,
+        success=success,
+        collision=bool(info["collided"]),
+        cause="" if success else str(info["cause"]),
+        goal_error=_goal_error(decoded),
+        path_length=float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()),
+        clearance=clearance if math.isfinite(clearance) else None,
+        steps=steps,
+        episode_time=elapsed,
+        **_of_plan(plan),
+    )
+    return Rollout(row, first.scene, plan, np.array(carried), tuple(frames))
+
+
+@lru_cache(maxsize=16)
+def _ready(task: str, method: str, difficulty: str) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
+    """Return environment and policy of this process, after one unrecorded plan."""
+    env = gym.make(environment_id(task), difficulty=difficulty)
+    policy = PlannerPolicy.make(method, task)
+    observation, _ = env.reset(seed=WARM_UP_SEED)
+    policy.predict(observation, deterministic=True)
+    return env, policy
+
+
+def play(key: EpisodeKey) -> EpisodeRow:
+    """Play one episode and return its row; environment and policy are made once per process."""
+    env, policy = _ready(key.task, key.method, key.difficulty)
+    return roll_out(key, env, policy).row

@@ -1,0 +1,177 @@
+"""From rows to numbers with intervals: the summary of a run, and its table."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from scipy import stats
+
+from smp_planner.benchmark.episodes import EpisodeRow
+from smp_planner.benchmark.store import Manifest
+
+__all__ = ["CONFIDENCE", "mean_interval", "rate_interval", "summarise", "table"]
+
+CONFIDENCE = 0.95
+"""Level of all intervals."""
+
+_RESAMPLES = 2000
+_BOOTSTRAP_SEED = 0
+
+_RATES = ("success", "collision", "chosen_collision_free", "chosen_executable")
+_MEANS = (
+    "goal_error",
+    "path_length",
+    "clearance",
+    "steps",
+    "share_collision_free",
+    "share_executable",
+    "share_good",
+    "chosen_clearance",
+    "chosen_duration",
+    "planning_time",
+)
+Estimate = dict[str, float | int]
+
+
+def rate_interval(successes: int, count: int) -> Estimate:
+    """Return a rate with its Wilson interval (Wilson 1927).
+
+    Args:
+        successes: how many of `count`.
+        count: at least 1.
+    """
+    test = stats.binomtest(successes, count)
+    interval = test.proportion_ci(confidence_level=CONFIDENCE, method="wilson")
+    return {
+        "count": count,
+        "value": successes / count,
+        "low": float(interval.low),
+        "high": float(interval.high),
+    }
+
+
+def mean_interval(values: Sequence[float]) -> Estimate:
+    """Return a mean with its bias-corrected and accelerated bootstrap interval (Efron 1987).
+
+    Values that are all equal, or a single one, have the interval of width zero.
+
+    Args:
+        values: at least one, finite.
+    """
+    data = np.asarray(values, np.float64)
+    mean = float(data.mean())
+    low = high = mean
+    if len(data) > 1 and np.ptp(data) > 0.0:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+            interval = stats.bootstrap(
+                (data,),
+                np.mean,
+                confidence_level=CONFIDENCE,
+                n_resamples=_RESAMPLES,
+                rng=np.random.default_rng(_BOOTSTRAP_SEED),
+            ).confidence_interval
+        if math.isfinite(interval.low) and math.isfinite(interval.high):
+            low, high = float(interval.low), float(interval.high)
+    return {"count": len(data), "value": mean, "low": low, "high": high}
+
+
+def _of_group(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
+    summary: dict[str, Any] = {"episodes": len(rows)}
+    for name in _RATES:
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        summary[name] = rate_interval(sum(values), len(values)) if values else None
+    for name in _MEANS:
+        values = [float(value) for row in rows if (value := getattr(row, name)) is not None]
+        summary[name] = mean_interval(values) if values else None
+    times = [row.planning_time for row in rows]
+    summary["planning_time"]["median"] = float(np.median(times))
+    summary["planning_time"]["p95"] = float(np.percentile(times, 95))
+    stages = sorted({stage for row in rows for stage in row.stage_times})
+    summary["stage_times"] = {
+        stage: float(np.mean([row.stage_times.get(stage, 0.0) for row in rows])) for stage in stages
+    }
+    summary["causes"] = dict(sorted(Counter(row.cause for row in rows if row.cause).items()))
+    return summary
+
+
+def summarise(manifest: Manifest, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
+    """Return the summary of a run, ready for JSON.
+
+    Rates carry Wilson intervals and means bootstrap intervals, both of level `CONFIDENCE`.
+
+    Args:
+        manifest: of the run.
+        rows: of its episodes; need not be all of them.
+    """
+    groups = []
+    for task in manifest.tasks:
+        for method in manifest.methods:
+            chosen = [row for row in rows if (row.task, row.method) == (task, method)]
+            if chosen:
+                groups.append({"task": task, "method": method, **_of_group(chosen)})
+    return {
+        "difficulty": manifest.difficulty,
+        "seed": manifest.seed,
+        "episodes": manifest.episodes,
+        "confidence": CONFIDENCE,
+        "versions": dict(manifest.versions),
+        "code": manifest.code,
+        "groups": groups,
+    }
+
+
+def _percent(estimate: Mapping[str, float] | None) -> str:
+    if estimate is None:
+        return "–"
+    value, low, high = (100 * estimate[name] for name in ("value", "low", "high"))
+    return f"{value:.1f} [dim]({low:.1f}–{high:.1f})[/]"
+
+
+def _number(estimate: Mapping[str, float] | None, scale: float, digits: int) -> str:
+    if estimate is None:
+        return "–"
+    value, low, high = (scale * estimate[name] for name in ("value", "low", "high"))
+    return f"{value:.{digits}f} [dim]({low:.{digits}f}–{high:.{digits}f})[/]"
+
+
+def table(summary: Mapping[str, Any]) -> Table:
+    """Return the summary as a table: one column per method and task, one line per quantity."""
+    first, last = summary["seed"], summary["seed"] + summary["episodes"] - 1
+    result = Table(
+        title=f"difficulty {summary['difficulty']}, seeds {first}–{last}",
+        caption=f"{summary['confidence']:.0%} intervals: Wilson for rates, bootstrap for means",
+        title_justify="left",
+        caption_justify="left",
+    )
+    groups = summary["groups"]
+    result.add_column("")
+    for group in groups:
+        result.add_column(f"{group['method']}\n[dim]{group['task']}[/]", justify="right")
+    lines: list[tuple[str, list[str]]] = [
+        ("episodes", [str(g["episodes"]) for g in groups]),
+        ("success, %", [_percent(g["success"]) for g in groups]),
+        ("collision, %", [_percent(g["collision"]) for g in groups]),
+        ("particles collision-free, %", [_percent(g["share_collision_free"]) for g in groups]),
+        ("particles executable, %", [_percent(g["share_executable"]) for g in groups]),
+        ("particles both, %", [_percent(g["share_good"]) for g in groups]),
+        ("chosen: collision-free, %", [_percent(g["chosen_collision_free"]) for g in groups]),
+        ("chosen: executable, %", [_percent(g["chosen_executable"]) for g in groups]),
+        ("chosen: clearance, mm", [_number(g["chosen_clearance"], 1e3, 1) for g in groups]),
+        ("goal error, mm", [_number(g["goal_error"], 1e3, 1) for g in groups]),
+        ("path length, m", [_number(g["path_length"], 1.0, 2) for g in groups]),
+        ("steps", [_number(g["steps"], 1.0, 0) for g in groups]),
+        ("planning time, s", [_number(g["planning_time"], 1.0, 3) for g in groups]),
+    ]
+    for name, cells in lines:
+        result.add_row(name, *cells)
+    causes = [", ".join(f"{cause} {n}" for cause, n in g["causes"].items()) or "–" for g in groups]
+    result.add_section()
+    result.add_row("failures", *causes)
+    return result

@@ -1,0 +1,56 @@
+"""Schedules: numbers that change over the iterations of a run."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["linear_decay", "tanh_annealing"]
+
+_TANH_RATE = 1.3
+"""How far the tanh is followed; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""
+
+
+def _check(iteration: int, iterations: int) -> None:
+    if not 0 <= iteration < iterations:
+        raise ValueError(f"iteration must be in 0 .. {iterations - 1}, got {iteration}")
+
+
+def tanh_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> float:
+    """Return the factor of the annealed term: it rises as a tanh and is 1 from `fraction` on.
+
+    The hyperbolic schedule of D'Angelo & Fortuin (2021), scaled so that it arrives at 1, where
+    theirs ends at tanh 1.3 = 0.86: the last iterations shall have the true posterior as target.
+
+    Args:
+        iteration: 0 .. iterations - 1.
+        iterations: of the whole run.
+        fraction: part of the run that is annealed, in (0, 1].
+
+    Returns:
+        A factor in (0, 1].
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+    _check(iteration, iterations)
+    if not 0.0 < fraction <= 1.0:
+        raise ValueError(f"fraction must be in (0, 1], got {fraction}")
+    progress = min(1.0, (iteration + 1) / (fraction * iterations))
+    return math.tanh(_TANH_RATE * progress) / math.tanh(_TANH_RATE)
+
+
+def linear_decay(iteration: int, iterations: int, final: float) -> float:
+    """Return a factor that falls in equal steps from 1 to `final` at the last iteration.
+
+    Args:
+        iteration: 0 .. iterations - 1.
+        iterations: of the whole run.
+        final: factor at the end, in [0, 1].
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+    _check(iteration, iterations)
+    if not 0.0 <= final <= 1.0:
+        raise ValueError(f"final must be in [0, 1], got {final}")
+    return 1.0 - (1.0 - final) * iteration / max(iterations - 1, 1)

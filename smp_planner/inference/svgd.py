@@ -1,0 +1,202 @@
+"""Stein variational gradient descent as two pure functions, `init` and `step`.
+
+Source: Liu & Wang 2016, Alg. 1; Eq. (5), (11) and (16). The indices of those equations are read in
+the standard way: the sum runs over j, particle i is updated, and the repulsive gradient is with
+respect to the summed particle, φ(x_i) = 1/P Σ_j [k(x_j, x_i) ∇ log p(x_j) + ∇_{x_j} k(x_j, x_i)].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from smp_planner.inference.annealing import linear_decay, tanh_annealing
+from smp_planner.inference.kernels import (
+    RBF,
+    Kernel,
+    median_bandwidth,
+    median_over_log_bandwidth,
+)
+from smp_planner.inference.optimizers import AdaGrad, Adam, Optimizer
+
+__all__ = ["SETTINGS", "SVGDSettings", "State", "init", "named_settings", "stein_direction", "step"]
+
+
+class State(NamedTuple):
+    """A run between two iterations.
+
+    Attributes:
+        particles: (..., P, d); leading dimensions are independent runs.
+        memory: what the optimiser remembers.
+        iteration: how many iterations are done.
+    """
+
+    particles: Tensor
+    memory: Any
+    iteration: int
+
+
+@dataclass(frozen=True)
+class SVGDSettings:
+    """How particles are moved; the defaults are the *default* setting.
+
+    Annealing follows D'Angelo & Fortuin (2021): the attractive term of the Stein direction is
+    multiplied by the schedule and the repulsive term is not, so that particles spread before they
+    settle. `annealed` says which part of the score is meant: all of it ("score", their reading), or
+    the likelihood alone, which begins at the prior instead of at a flat target.
+
+    Attributes:
+        whiten: whether particles are the standard normals z of the weights (`ProMP.whiten`), which
+            amounts to a constant matrix-valued kernel, or the weights themselves. The caller passes
+            particles and scores in these coordinates; `step` does not look at it.
+        kernel: between particles.
+        optimizer: turns the Stein direction into a change.
+        step_size: of the first iteration.
+        final_step: step size of the last iteration, as a fraction of the first.
+        iterations: of a whole run.
+        annealing: fraction of the run that is annealed by a tanh; 0 for none.
+        annealed: the part of the score that is annealed.
+        repulsion: whether particles see one another. Without, each climbs its own score: dropping
+            only ∇k and keeping the average over particles would draw them all together.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    whiten: bool = True
+    kernel: Kernel = field(default_factory=lambda: RBF(median_bandwidth))
+    optimizer: Optimizer = field(default_factory=Adam)
+    step_size: float = 0.2
+    final_step: float = 0.1
+    iterations: int = 100
+    annealing: float = 0.7
+    annealed: Literal["score", "likelihood"] = "score"
+    repulsion: bool = True
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.step_size) and self.step_size > 0):
+            raise ValueError(f"step_size must be positive and finite, got {self.step_size}")
+        if self.iterations < 1:
+            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
+        if not 0.0 <= self.final_step <= 1.0:
+            raise ValueError(f"final_step must be in [0, 1], got {self.final_step}")
+        if not 0.0 <= self.annealing <= 1.0:
+            raise ValueError(f"annealing must be in [0, 1], got {self.annealing}")
+        if self.annealed not in ("score", "likelihood"):
+            raise ValueError(f"annealed must be 'score' or 'likelihood', got {self.annealed!r}")
+
+
+_DEFAULT = SVGDSettings()
+
+SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
+    {
+        "default": _DEFAULT,
+        "paper": SVGDSettings(
+            whiten=False,
+            kernel=RBF(median_over_log_bandwidth),
+            optimizer=AdaGrad(),
+            step_size=0.05,
+            final_step=1.0,
+            annealing=0.0,
+        ),
+        "no_repulsion": replace(_DEFAULT, repulsion=False),
+    }
+)
+"""The settings that are compared: ours, the paper's, and ours with particles on their own."""
+
+
+def named_settings(name: str) -> SVGDSettings:
+    """Return one of `SETTINGS`.
+
+    Raises:
+        ValueError: there is none of this name.
+    """
+    if name not in SETTINGS:
+        raise ValueError(f"settings must be one of {', '.join(SETTINGS)}; got {name!r}")
+    return SETTINGS[name]
+
+
+def init(particles: Tensor, settings: SVGDSettings) -> State:
+    """Return the state before the first iteration.
+
+    Args:
+        particles: (..., P, d), P at least 1, in the coordinates of `settings.whiten`.
+        settings: of the run.
+
+    Raises:
+        ValueError: `particles` is not of that shape, or not finite.
+    """
+    if particles.ndim < 2 or 0 in particles.shape:
+        raise ValueError(f"particles must have shape (..., P, d), got {tuple(particles.shape)}")
+    _check_finite("particles", particles)
+    return State(particles, settings.optimizer.init(particles), 0)
+
+
+def stein_direction(
+    particles: Tensor, score: Tensor, kernel: Kernel, attraction: float = 1.0
+) -> Tensor:
+    """Return the direction φ of Eq. (5), with the attractive term scaled.
+
+    Args:
+        particles: (..., P, d).
+        score: (..., P, d) gradient of the log-target at the particles.
+        kernel: between particles.
+        attraction: factor of the attractive term.
+
+    Returns:
+        (..., P, d).
+    """
+    gram, repulsion = kernel(particles)
+    return (attraction * (gram @ score) + repulsion) / particles.shape[-2]
+
+
+def step(
+    state: State, prior_score: Tensor, likelihood_score: Tensor, settings: SVGDSettings
+) -> State:
+    """Return the state after one more iteration, Eq. (16) and Algorithm 1, lines 7 and 8.
+
+    Args:
+        state: before it.
+        prior_score: (..., P, d) gradient of the log-prior at the particles.
+        likelihood_score: (..., P, d) gradient of the log-likelihood, -λ ∇C.
+        settings: the same as for `init`.
+
+    Raises:
+        ValueError: a score has another shape than the particles or is not finite, or all
+            iterations are done.
+    """
+    particles = state.particles
+    for name, score in (("prior_score", prior_score), ("likelihood_score", likelihood_score)):
+        if score.shape != particles.shape:
+            raise ValueError(
+                f"{name} must have the shape {tuple(particles.shape)} of the particles, "
+                f"got {tuple(score.shape)}"
+            )
+        _check_finite(name, score)
+    temper = 1.0
+    if settings.annealing > 0.0:
+        temper = tanh_annealing(state.iteration, settings.iterations, settings.annealing)
+    if settings.annealed == "likelihood":
+        score, attraction = torch.add(prior_score, likelihood_score, alpha=temper), 1.0
+    else:
+        score, attraction = prior_score + likelihood_score, temper
+    if settings.repulsion:
+        direction = stein_direction(particles, score, settings.kernel, attraction)
+    else:
+        direction = attraction * score
+    change, memory = settings.optimizer.update(direction, state.memory, state.iteration)
+    decay = linear_decay(state.iteration, settings.iterations, settings.final_step)
+    moved = torch.add(particles, change, alpha=settings.step_size * decay)
+    return State(moved, memory, state.iteration + 1)
+
+
+def _check_finite(name: str, value: Tensor) -> None:
+    # The sum is finite only if every entry is, and is cheaper to ask in the inner loop.
+    if not math.isfinite(value.sum().item()):
+        raise ValueError(f"{name} must be finite, got NaN or infinity")

@@ -1,0 +1,459 @@
+"""Probabilistic movement primitives: a Gaussian over the weights of trajectories, Sec. III-A.
+
+Weights are (K, D) and stand flattened row by row everywhere: entry k * D + d is the weight of basis
+function k in dimension d. Velocities are derivatives with respect to phase.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from smp_planner.movement_primitives.basis import GaussianBasis, phases
+from smp_planner.movement_primitives.em import EMSettings, expectation_maximization, infer
+
+__all__ = ["ProMP", "smooth_covariance"]
+
+
+def smooth_covariance(
+    basis: GaussianBasis,
+    dimension: int,
+    std: float,
+    length_scale: float,
+    like: Tensor | None = None,
+) -> Tensor:
+    """Return a covariance of weights that is smooth along the phase and equal in all dimensions.
+
+    Weights of one dimension covary as exp(-(c - c')² / (2 ℓ²)) with the distance of their centres;
+    weights of different dimensions do not. The scale is such that a trajectory at phase 1/2 has the
+    standard deviation `std` in every dimension.
+
+    Args:
+        basis: K basis functions.
+        dimension: D.
+        std: of the trajectory, in its unit; 0 or more.
+        length_scale: ℓ, in phase.
+        like: gives dtype and device (default: float64 on CPU).
+
+    Returns:
+        (K*D, K*D), positive semi-definite.
+
+    Raises:
+        ValueError: `std` is negative or `length_scale` is not positive.
+    """
+    if not (math.isfinite(std) and std >= 0):
+        raise ValueError(f"std must be finite and not negative, got {std}")
+    if not (math.isfinite(length_scale) and length_scale > 0):
+        raise ValueError(f"length_scale must be positive and finite, got {length_scale}")
+    centers = basis.centers(like)
+    distance = (centers[:, None] - centers) / length_scale
+    along_phase = torch.exp(-0.5 * distance.square())
+    middle = basis.values(centers.new_tensor(0.5))
+    along_phase = along_phase * (std**2 / (middle @ along_phase @ middle))
+    identity = torch.eye(dimension, dtype=centers.dtype, device=centers.device)
+    return torch.kron(along_phase, identity)
+
+
+@dataclass(frozen=True)
+class ProMP:
+    """A Gaussian over trajectories, y_t = Φ_t w with w ~ N(μ_w, Σ_w), Eq. (1).
+
+    Σ_w is kept as a factor L with Σ_w = L Lᵀ, so that w = μ_w + L z with z ~ N(0, I): exact
+    conditioning then takes columns away, and what was made certain stays certain to the last
+    digit. Whatever factor is given, the one kept has orthogonal columns in the order of falling
+    length, and none that are zero within rounding.
+
+    Several primitives that share Σ_w are one `ProMP` whose mean has leading dimensions, as arise
+    from conditioning on several values at once. To work with (B, P, K*D) weights of P particles in
+    each of B problems, condition on values (B, 1, D).
+
+    Attributes:
+        basis: K basis functions.
+        mean: (..., K*D) μ_w.
+        factor: (K*D, r) L, r at most K*D.
+        noise: (D, D) covariance Σ_y of the observation noise; (D,) is taken as its diagonal.
+
+    Raises:
+        ValueError: shapes do not fit together, a number is not finite, or `noise` is not a
+            positive definite covariance.
+    """
+
+    basis: GaussianBasis
+    mean: Tensor
+    factor: Tensor
+    noise: Tensor
+
+    def __post_init__(self) -> None:
+        if self.noise.ndim not in (1, 2):
+            raise ValueError(f"noise must be (D,) or (D, D), got {tuple(self.noise.shape)}")
+        dimension = self.noise.shape[-1]
+        size = self.basis.count * dimension
+        if self.mean.shape[-1:] != (size,):
+            raise ValueError(
+                f"mean must have shape (..., K * D = {self.basis.count} * {dimension}), "
+                f"got {tuple(self.mean.shape)}"
+            )
+        if self.factor.ndim != 2 or self.factor.shape[0] != size:
+            raise ValueError(f"factor must be ({size}, r), got {tuple(self.factor.shape)}")
+        for name in ("mean", "factor"):
+            if not bool(torch.isfinite(getattr(self, name)).all()):
+                raise ValueError(f"{name} must be finite, got NaN or infinity")
+        noise = _covariance("noise", self.noise, dimension, self.mean)
+        if not bool(torch.linalg.eigvalsh(noise)[0] > 0):
+            raise ValueError(f"noise must be positive definite, got {noise}")
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "factor", _orthogonal_columns(self.factor.to(self.mean)))
+
+    @classmethod
+    def from_covariance(
+        cls, basis: GaussianBasis, mean: Tensor, covariance: Tensor, noise: Tensor
+    ) -> ProMP:
+        """Return the primitive with Σ_w = `covariance`, (K*D, K*D), possibly singular.
+
+        Raises:
+            ValueError: `covariance` is not symmetric, or has a negative eigenvalue.
+        """
+        covariance = _covariance("covariance", covariance, mean.shape[-1], mean)
+        return cls(basis, mean, _square_root(covariance), noise)
+
+    @classmethod
+    def fit(
+        cls,
+        demonstrations: Tensor | np.ndarray | Sequence[Tensor | np.ndarray],
+        basis: GaussianBasis | None = None,
+        *,
+        smooth_std: float = 0.2,
+        smooth_length_scale: float = 0.2,
+        em: EMSettings | None = None,
+    ) -> ProMP:
+        """Learn a primitive from demonstrations.
+
+        *Learned*, by expectation-maximisation: μ_w, Σ_w under an inverse-Wishart prior, and the
+        observation noise Σ_y. *Added* to the learned Σ_w: `smooth_covariance`. A few demonstrations
+        span a few directions only, and a multiple of the identity beside them lets a trajectory
+        shiver but not bend; the smooth part lets it bend around what was not there when it was
+        demonstrated.
+
+        A dimension that is constant in all demonstrations is allowed: its mean is that constant,
+        its noise the floor of `em`, and its freedom what is added.
+
+        Args:
+            demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in rad; samples stand at
+                equal steps of phase. Tensors keep their dtype and device, arrays become float64.
+            basis: default `GaussianBasis()`, K = 15.
+            smooth_std: standard deviation that is added at mid phase, in every dimension, rad.
+            smooth_length_scale: its length scale, in phase.
+            em: priors and stopping rule of the learning.
+
+        Raises:
+            ValueError: fewer than two demonstrations, not all of one dimension, fewer than two
+                samples in one, or a number that is not finite.
+        """
+        basis = basis or GaussianBasis()
+        checked = _checked_demonstrations(demonstrations)
+        learned = expectation_maximization(checked, basis, em)
+        added = smooth_covariance(
+            basis, checked[0].shape[-1], smooth_std, smooth_length_scale, checked[0]
+        )
+        return cls.from_covariance(basis, learned.mean, learned.covariance + added, learned.noise)
+
+    @property
+    def dimension(self) -> int:
+        """D, the number of coordinates of a trajectory."""
+        return self.noise.shape[-1]
+
+    @property
+    def rank(self) -> int:
+        """r, the number of free directions of the weights."""
+        return self.factor.shape[-1]
+
+    @property
+    def covariance(self) -> Tensor:
+        """(K*D, K*D) Σ_w."""
+        return self.factor @ self.factor.mT
+
+    def broaden(self, covariance: Tensor) -> ProMP:
+        """Return the primitive with `covariance`, (K*D, K*D), added to Σ_w.
+
+        Raises:
+            ValueError: `covariance` is not a positive semi-definite matrix of that shape.
+        """
+        added = _covariance("covariance", covariance, self.mean.shape[-1], self.mean)
+        return replace(self, factor=torch.cat([self.factor, _square_root(added)], -1))
+
+    def condition(
+        self,
+        phase: float,
+        value: Tensor,
+        covariance: Tensor | None = None,
+        *,
+        derivative: bool = False,
+    ) -> ProMP:
+        """Return the posterior after a position or a velocity was observed.
+
+        Observation and noise are stacked into one linear map of standard normals, and the part of
+        them that the observation leaves free is its null space. Nothing is inverted or subtracted,
+        so an exact observation needs no jitter, and Σ_w stays positive semi-definite.
+
+        Args:
+            phase: where, in [0, 1].
+            value: (..., D) observed position, or velocity with respect to phase; leading dimensions
+                broadcast with those of the mean.
+            covariance: (D, D), or (D,) for a diagonal, of the observation; zero or None is exact.
+            derivative: whether `value` is a velocity.
+
+        Returns:
+            The posterior; an exact observation of something uncertain lowers the rank by D.
+
+        Raises:
+            ValueError: `phase` is outside [0, 1]; `value` is not finite or not (..., D);
+                `covariance` is not a covariance; or an exact `value` contradicts what is already
+                certain.
+        """
+        value = torch.as_tensor(value, dtype=self.mean.dtype, device=self.mean.device)
+        if value.shape[-1:] != (self.dimension,):
+            raise ValueError(
+                f"value must have shape (..., {self.dimension}), got {tuple(value.shape)}"
+            )
+        if not bool(torch.isfinite(value).all()):
+            raise ValueError(f"value must be finite, got {value}")
+        if covariance is None:
+            noise_factor = self.mean.new_zeros(self.dimension, 0)
+        else:
+            checked = _covariance("covariance", covariance, self.dimension, self.mean)
+            noise_factor = _square_root(checked)
+
+        rows = self._rows(phase, derivative)
+        innovation = value - self.mean @ rows.mT
+        stacked = torch.cat([rows @ self.factor, noise_factor], -1)
+        left, singular, right = torch.linalg.svd(stacked, full_matrices=True)
+        scale = torch.linalg.matrix_norm(rows, 2) * self._largest_std() + noise_factor.norm()
+        rank = int((singular > _rounding(self.mean) * scale).sum())
+
+        explained = innovation @ left[:, :rank]
+        unexplained = innovation - explained @ left[:, :rank].mT
+        allowed = math.sqrt(torch.finfo(self.mean.dtype).eps) * (1.0 + value.abs().max())
+        if bool((unexplained.abs() > allowed).any()):
+            raise ValueError(
+                f"value {value} at phase {phase} contradicts what is certain there: it is off by "
+                f"{unexplained.abs().max().item():.3g}"
+            )
+        latent = (explained / singular[:rank]) @ right[:rank, : self.rank]
+        free = right[rank:, : self.rank].mT
+        return replace(self, mean=self.mean + latent @ self.factor.mT, factor=self.factor @ free)
+
+    def marginal(self, phase: float, *, derivative: bool = False) -> tuple[Tensor, Tensor]:
+        """Return mean (..., D) and covariance (D, D) of the position or velocity at a phase.
+
+        The observation noise is not included.
+        """
+        rows = self._rows(phase, derivative)
+        half = rows @ self.factor
+        return self.mean @ rows.mT, half @ half.mT
+
+    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+        """Draw weights.
+
+        Args:
+            count: n.
+            generator: source of all randomness, on the device of the primitive.
+
+        Returns:
+            (n, ..., K*D), the dots being the leading dimensions of the mean.
+        """
+        shape = (count, *self.mean.shape[:-1], self.rank)
+        latent = torch.randn(
+            shape, generator=generator, dtype=self.mean.dtype, device=self.mean.device
+        )
+        return self.unwhiten(latent)
+
+    def log_prob(self, weights: Tensor) -> Tensor:
+        """Return the log-density of weights, (..., K*D) -> (...).
+
+        If Σ_w is singular, this is the density on its support, of the nearest point of the support.
+        """
+        latent = self.whiten(weights)
+        log_scale = self._stds().log().sum()
+        constant = 0.5 * self.rank * math.log(2.0 * math.pi)
+        return -0.5 * latent.square().sum(-1) - log_scale - constant
+
+    def score(self, weights: Tensor) -> Tensor:
+        """Return the gradient of `log_prob`, (..., K*D) -> (..., K*D); it lies in the support."""
+        return -(self.whiten(weights) / self._stds().square()) @ self.factor.mT
+
+    def log_likelihood(
+        self, demonstrations: Tensor | np.ndarray | Sequence[Tensor | np.ndarray]
+    ) -> Tensor:
+        """Return the log-density of each demonstration, weights integrated out, Eq. (2).
+
+        Args:
+            demonstrations: (N, T, D), or N arrays (T_j, D).
+
+        Returns:
+            (N,).
+
+        Raises:
+            ValueError: as `fit`, or the mean of this primitive has leading dimensions.
+        """
+        if self.mean.ndim != 1:
+            raise ValueError(f"mean must be one vector here, got {tuple(self.mean.shape)}")
+        checked = _checked_demonstrations(demonstrations, fewest=1)
+        if checked[0].shape[-1] != self.dimension:
+            raise ValueError(
+                f"demonstrations must have dimension {self.dimension}, got {checked[0].shape[-1]}"
+            )
+        return torch.cat(
+            [
+                infer(d[None].to(self.mean), self.basis, self.mean, self.factor, self.noise)[3]
+                for d in checked
+            ]
+        )
+
+    def whiten(self, weights: Tensor) -> Tensor:
+        """Return the standard normals z of weights μ_w + L z, (..., K*D) -> (..., r)."""
+        return (weights - self.mean) @ (self.factor / self._stds().square())
+
+    def unwhiten(self, latent: Tensor) -> Tensor:
+        """Return the weights μ_w + L z, (..., r) -> (..., K*D)."""
+        return self.mean + latent @ self.factor.mT
+
+    def whiten_gradient(self, gradient: Tensor) -> Tensor:
+        """Return the gradient by z of what has this gradient by w, (..., K*D) -> (..., r)."""
+        return gradient @ self.factor
+
+    def project(self, weights: Tensor) -> Tensor:
+        """Return the nearest weights that are possible, (..., K*D) -> (..., K*D).
+
+        They differ from those given only if Σ_w is singular, as after exact conditioning.
+        """
+        return self.unwhiten(self.whiten(weights))
+
+    def trajectory(self, weights: Tensor, at: int | Tensor) -> Tensor:
+        """Return the trajectories of weights.
+
+        Args:
+            weights: (..., K*D).
+            at: number T of equally spaced phases from 0 to 1, or the phases, (T,).
+
+        Returns:
+            (..., T, D) positions.
+        """
+        return self.basis.values(self._phases(at)) @ self._matrix(weights)
+
+    def velocity(self, weights: Tensor, at: int | Tensor) -> Tensor:
+        """Return derivatives of the trajectories by phase; arguments and shape as `trajectory`."""
+        return self.basis.derivatives(self._phases(at)) @ self._matrix(weights)
+
+    def pull_back(self, gradient: Tensor, at: int | Tensor) -> Tensor:
+        """Return the gradient by the weights of what has this gradient by the trajectory.
+
+        Args:
+            gradient: (..., T, D), with respect to positions.
+            at: the phases of those positions, as in `trajectory`.
+
+        Returns:
+            (..., K*D).
+        """
+        return (self.basis.values(self._phases(at)).mT @ gradient).flatten(-2)
+
+    def _phases(self, at: int | Tensor) -> Tensor:
+        if isinstance(at, Tensor):
+            return at.to(self.mean)
+        return phases(at, dtype=self.mean.dtype, device=self.mean.device)
+
+    def _matrix(self, weights: Tensor) -> Tensor:
+        if weights.shape[-1] != self.mean.shape[-1]:
+            raise ValueError(
+                f"weights must have shape (..., {self.mean.shape[-1]}), got {tuple(weights.shape)}"
+            )
+        return weights.unflatten(-1, (self.basis.count, self.dimension))
+
+    def _rows(self, phase: float, derivative: bool) -> Tensor:
+        """Return the (D, K*D) map from weights to position or velocity at a phase."""
+        at = self.mean.new_tensor(phase)
+        values = self.basis.derivatives(at) if derivative else self.basis.values(at)
+        identity = torch.eye(self.dimension, dtype=self.mean.dtype, device=self.mean.device)
+        return torch.kron(values[None], identity)
+
+    def _stds(self) -> Tensor:
+        """Return the lengths of the orthogonal columns of L, (r,)."""
+        return torch.linalg.vector_norm(self.factor, dim=0)
+
+    def _largest_std(self) -> Tensor:
+        return self._stds()[0] if self.rank else self.mean.new_zeros(())
+
+
+def _rounding(like: Tensor) -> float:
+    """Return the size, relative to the largest, under which a standard deviation is rounding."""
+    return 1e3 * torch.finfo(like.dtype).eps
+
+
+def _orthogonal_columns(factor: Tensor) -> Tensor:
+    """Return L' with L' L'ᵀ = L Lᵀ, orthogonal columns of falling length, zeros dropped."""
+    if 0 in factor.shape:
+        return factor
+    left, singular, _ = torch.linalg.svd(factor, full_matrices=False)
+    keep = singular > _rounding(factor) * singular[0]
+    return (left * singular)[:, keep]
+
+
+def _square_root(covariance: Tensor) -> Tensor:
+    """Return L, (n, r), with L Lᵀ = `covariance`, leaving out eigenvalues that are rounding."""
+    eigenvalues, eigenvectors = torch.linalg.eigh(covariance)
+    keep = eigenvalues > _rounding(covariance) * eigenvalues[-1].clamp_min(0.0)
+    return eigenvectors[:, keep] * eigenvalues[keep].sqrt()
+
+
+def _covariance(name: str, value: Any, size: int, like: Tensor) -> Tensor:
+    """Check a covariance (size, size), or the diagonal (size,) of one, and return it in full."""
+    matrix = torch.as_tensor(value, dtype=like.dtype, device=like.device)
+    if matrix.shape == (size,):
+        matrix = torch.diag(matrix)
+    if matrix.shape != (size, size):
+        raise ValueError(
+            f"{name} must have shape ({size}, {size}) or ({size},), got {tuple(matrix.shape)}"
+        )
+    if not bool(torch.isfinite(matrix).all()):
+        raise ValueError(f"{name} must be finite, got {matrix}")
+    tolerance = math.sqrt(torch.finfo(matrix.dtype).eps) * matrix.abs().max()
+    if bool(((matrix - matrix.mT).abs() > tolerance).any()):
+        raise ValueError(f"{name} must be symmetric, got {matrix}")
+    smallest = torch.linalg.eigvalsh(matrix)[0]
+    if bool(smallest < -tolerance):
+        raise ValueError(
+            f"{name} must be positive semi-definite, got an eigenvalue of {smallest.item():.3g}"
+        )
+    return (matrix + matrix.mT) / 2
+
+
+def _checked_demonstrations(demonstrations: Any, fewest: int = 2) -> list[Tensor]:
+    """Return the demonstrations as tensors (T_j, D) of one dtype and device."""
+    checked: list[Tensor] = []
+    for index, given in enumerate(demonstrations):
+        d = given if isinstance(given, Tensor) else torch.as_tensor(np.asarray(given, np.float64))
+        d = d if d.is_floating_point() else d.double()
+        if d.ndim != 2 or d.shape[0] < 2 or d.shape[1] < 1:
+            raise ValueError(
+                f"demonstrations[{index}] must have shape (T, D) with T of at least 2, "
+                f"got {tuple(d.shape)}"
+            )
+        if checked and d.shape[1] != checked[0].shape[1]:
+            raise ValueError(
+                f"demonstrations must all have one dimension: demonstrations[{index}] has "
+                f"{d.shape[1]}, demonstrations[0] has {checked[0].shape[1]}"
+            )
+        if not bool(torch.isfinite(d).all()):
+            row = int((~torch.isfinite(d)).any(-1).nonzero()[0])
+            raise ValueError(
+                f"demonstrations[{index}] must be finite, got {d[row].tolist()} at sample {row}"
+            )
+        checked.append(d.to(checked[0]) if checked else d)
+    if len(checked) < fewest:
+        raise ValueError(f"demonstrations must be at least {fewest}, got {len(checked)}")
+    return checked

@@ -1,0 +1,45 @@
+"""The methods, by the names under which the command line knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from smp_gym.demonstrations import Demonstrations
+from smp_planner.planners.base import PlannerModel
+from smp_planner.planners.promp import ProMPPlanner
+from smp_planner.planners.smp import SMPPlanner
+
+__all__ = ["PLANNERS", "PlannerModel", "make_planner"]
+
+PLANNERS: dict[str, type[PlannerModel]] = {cls.name: cls for cls in (SMPPlanner, ProMPPlanner)}
+"""Planner classes by name."""
+
+
+def make_planner(
+    name: str,
+    task: str | None = None,
+    *,
+    demonstrations: Demonstrations | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> PlannerModel:
+    """Return a planner that has learned from demonstrations.
+
+    Args:
+        name: one of `PLANNERS`.
+        task: whose shipped demonstrations to learn from.
+        demonstrations: what to learn from, in place of the shipped ones.
+        settings: settings of the method by name; the rest keep their defaults.
+
+    Raises:
+        ValueError: unknown name, task or setting, a setting out of range, or neither task nor
+            demonstrations given.
+    """
+    if name not in PLANNERS:
+        raise ValueError(f"method must be one of {', '.join(PLANNERS)}; got {name!r}")
+    if demonstrations is None:
+        if task is None:
+            raise ValueError("task or demonstrations must be given, got neither")
+        demonstrations = Demonstrations.load(task)
+    cls = PLANNERS[name]
+    return cls(demonstrations, cls.Settings.model_validate(dict(settings or {})))

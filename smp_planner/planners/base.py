@@ -1,0 +1,290 @@
+"""What all planners with a primitive share: learning it, tying it to a scene, judging particles."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.kinematics import UnreachableError
+from smp_planner.movement_primitives import ProMP, phases, smooth_covariance
+from smp_planner.problem import Plan, Problem
+from smp_planner.robot_model import RobotModel, jaco_model
+from smp_planner.tracking import minimum_duration
+from smp_planner.verification import verify
+
+__all__ = ["PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
+
+FloatArray = NDArray[np.float64]
+
+SAMPLES = 200
+"""T of the trajectories in a plan, as in the demonstrations."""
+
+GOAL_STD = 0.005
+"""Standard deviation, m, with which the primitive is conditioned on the goal point."""
+
+POSTURE_STD = 0.1
+"""Standard deviation, rad, that the final posture keeps around the one found for the goal."""
+
+REACHED = 0.02
+"""Distance, m, from a goal region up to which a posture is taken to reach it."""
+
+
+class PlannerSettings(BaseModel):
+    """Settings that all planners have.
+
+    Attributes:
+        particles: P, size of the set.
+        smooth_std: rad, freedom added to what the demonstrations teach; see `ProMP.fit`.
+        duration_limit: s, within which an executable trajectory must be feasible.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    particles: int = Field(default=42, ge=1)
+    smooth_std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
+
+
+class Stopwatch:
+    """Seconds of the stages of a plan by name, in order."""
+
+    def __init__(self) -> None:
+        self.timings: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to a stage."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - begin
+
+
+@dataclass(frozen=True)
+class TiedPrimitive:
+    """A primitive conditioned on the start and the goal of a problem.
+
+    Attributes:
+        primitive: its whitened coordinates are those in which planners work.
+        posture: (6,) rad, the final configuration that it was conditioned on.
+    """
+
+    primitive: ProMP
+    posture: FloatArray
+
+
+def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> FloatArray:
+    """Return the configuration (6,) that reaches a goal and is most likely under the primitive.
+
+    Gauss-Newton on the negative log-posterior of the final configuration, given that the carried
+    point is in the middle of the region up to `GOAL_STD`. Of several goals the likeliest is taken.
+
+    Raises:
+        UnreachableError: no goal is reached.
+    """
+    mean_tensor, covariance = primitive.marginal(1.0)
+    mean, precision = mean_tensor.numpy(), np.linalg.inv(covariance.numpy())
+    best: tuple[float, FloatArray] | None = None
+    nearest = np.inf
+    for goal in problem.goals:
+        # Approaching the goal in steps keeps each linearisation close to the truth.
+        posture = np.clip(mean, robot.lower, robot.upper)
+        origin = robot.carried_points(posture, goal.point)[0]
+        for share in (*np.linspace(0.2, 1.0, 5), 1.0, 1.0, 1.0, 1.0, 1.0):
+            target = origin + share * (goal.center - origin)
+            point, jacobian = robot.carried_points(posture, goal.point)
+            scaled = jacobian / GOAL_STD
+            hessian = scaled.T @ scaled + precision
+            slope = scaled.T @ (point - target) / GOAL_STD + precision @ (posture - mean)
+            change = np.linalg.solve(hessian, slope)
+            change *= min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))
+            posture = np.clip(posture - change, robot.lower, robot.upper)
+        point = robot.carried_points(posture, goal.point)[0]
+        error = float(np.linalg.norm(point - np.clip(point, goal.lower, goal.upper)))
+        nearest = min(nearest, error)
+        energy = float((posture - mean) @ precision @ (posture - mean))
+        if error <= REACHED and (best is None or energy < best[0]):
+            best = energy, posture
+    if best is None:
+        regions = ", ".join(f"{np.round(goal.center, 3)}" for goal in problem.goals)
+        raise UnreachableError(
+            f"goal {regions} is out of reach: the arm stays {nearest:.3f} m away from it"
+        )
+    return best[1]
+
+
+def _tie(primitive: ProMP, problem: Problem, robot: RobotModel) -> TiedPrimitive:
+    """Condition on what is certain (start, rest at both ends), then on reaching a goal."""
+    rest = torch.zeros(primitive.dimension, dtype=torch.float64)
+    start = torch.from_numpy(problem.start)
+    tied = primitive.condition(0.0, start).condition(0.0, rest, derivative=True)
+    tied = tied.condition(1.0, rest, derivative=True)
+    posture = _final_posture(tied, problem, robot)
+    goal = min(
+        problem.goals,
+        key=lambda g: float(
+            np.linalg.norm(robot.carried_points(posture, g.point)[0] - g.center)
+        ),
+    )
+    jacobian = robot.carried_points(posture, goal.point)[1] / GOAL_STD
+    information = jacobian.T @ jacobian + np.eye(len(posture)) / POSTURE_STD**2
+    covariance = torch.from_numpy(np.linalg.inv(information))
+    tied = tied.condition(1.0, torch.from_numpy(posture), (covariance + covariance.mT) / 2)
+    return TiedPrimitive(tied, posture)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """The particles of one attempt with all that is known of them; see `Plan`."""
+
+    weights: FloatArray
+    trajectories: FloatArray
+    costs: dict[str, FloatArray] = field(default_factory=dict)
+
+
+class PlannerModel(ABC):
+    """A planner that has learned a primitive from demonstrations.
+
+    Args:
+        demonstrations: what to learn from.
+        settings: an instance of the class's `Settings`.
+    """
+
+    name: ClassVar[str]
+    Settings: ClassVar[type[PlannerSettings]] = PlannerSettings
+
+    def __init__(
+        self, demonstrations: Demonstrations, settings: PlannerSettings | None = None
+    ) -> None:
+        self.demonstrations = demonstrations
+        self.settings = self.Settings() if settings is None else settings
+        self.primitive = ProMP.fit(
+            demonstrations.configurations, smooth_std=self.settings.smooth_std
+        )
+
+    @abstractmethod
+    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return one plan for each problem; the same problem gives the same plan."""
+
+    def tie(self, problem: Problem, robot: RobotModel, width: float = 1.0) -> TiedPrimitive:
+        """Return the primitive conditioned on start and goal of a problem.
+
+        Args:
+            problem: to be solved.
+            robot: arm with all that it carries.
+            width: factor of `smooth_std`, at least 1.
+
+        Raises:
+            UnreachableError: no goal is within reach.
+        """
+        primitive = self.primitive
+        if width > 1.0:
+            added = self.settings.smooth_std * np.sqrt(width**2 - 1.0)
+            primitive = primitive.broaden(
+                smooth_covariance(primitive.basis, primitive.dimension, added, 0.2)
+            )
+        return _tie(primitive, problem, robot)
+
+    def draw(self, tied: TiedPrimitive, seed: int) -> Tensor:
+        """Return P whitened draws (P, r) of a tied primitive."""
+        shape = (self.settings.particles, tied.primitive.rank)
+        return torch.from_numpy(np.random.default_rng(seed).standard_normal(shape))
+
+    def judge(
+        self,
+        problem: Problem,
+        robot: RobotModel,
+        tied: TiedPrimitive,
+        latent: Tensor,
+        costs: dict[str, FloatArray],
+        stopwatch: Stopwatch,
+    ) -> Plan:
+        """Return the plan that particles amount to: verified, and the best of them chosen.
+
+        Args:
+            problem: to be solved.
+            robot: arm with all that it carries.
+            tied: the primitive whose whitened coordinates `latent` are.
+            latent: (P, r) particles.
+            costs: what is known already of each particle, each (P,).
+            stopwatch: its stages go into the plan.
+        """
+        with stopwatch.stage("verification"):
+            weights = tied.primitive.unwhiten(latent)
+            trajectories = tied.primitive.trajectory(weights, SAMPLES).numpy()
+            verdict = verify(robot, trajectories, problem.obstacles)
+            duration = minimum_duration(trajectories)
+            executable = verdict.within_limits & (duration <= self.settings.duration_limit)
+            goal_error = _goal_error(problem, robot, trajectories[:, -1])
+            costs = {"prior": 0.5 * latent.square().sum(-1).numpy(), **costs}
+            good = verdict.collision_free & executable
+            chosen = _choose(verdict.collision_free, executable, verdict.clearance, goal_error, costs)
+        message = ""
+        if not good.any():
+            message = (
+                "no particle is collision-free and executable: "
+                f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
+                f"{int(executable.sum())} executable; the least bad one is chosen"
+            )
+        shape = (len(latent), tied.primitive.basis.count, tied.primitive.dimension)
+        return Plan(
+            weights=weights.numpy().reshape(shape),
+            trajectories=trajectories,
+            costs=costs,
+            collision_free=verdict.collision_free,
+            clearance=verdict.clearance,
+            goal_error=goal_error,
+            duration=duration,
+            executable=executable,
+            chosen=chosen,
+            timings=stopwatch.timings,
+            message=message,
+        )
+
+
+def _goal_error(problem: Problem, robot: RobotModel, ends: FloatArray) -> FloatArray:
+    """Return the distance (P,) m of carried points to the nearest goal region."""
+    errors = []
+    for goal in problem.goals:
+        points = robot.carried_points(ends, goal.point)[0]
+        errors.append(np.linalg.norm(points - np.clip(points, goal.lower, goal.upper), axis=-1))
+    return np.asarray(np.min(errors, axis=0))
+
+
+SAFE_CLEARANCE = 0.01
+"""Clearance, m, beyond which more of it makes a particle no better."""
+
+
+def _choose(
+    collision_free: NDArray[np.bool_],
+    executable: NDArray[np.bool_],
+    clearance: FloatArray,
+    goal_error: FloatArray,
+    costs: dict[str, FloatArray],
+) -> int:
+    """Return the best particle: what is demanded comes first, then likeness to the demonstrations."""
+    demanded = 4.0 * collision_free + 2.0 * executable + 1.0 * (goal_error < 0.005)
+    unsafe = np.where(collision_free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
+    # One unit of the prior is worth a tenth of a millimetre of missing clearance.
+    merit = -costs["prior"] - 1e4 * unsafe - 1e3 * goal_error
+    return int(np.lexsort((merit, demanded))[-1])
+
+
+def jaco_with(problem: Problem) -> RobotModel:
+    """Return the arm with the spheres that a problem attaches to its hand."""
+    return jaco_model(problem.attached)
+
+
+Axis = Literal["prior"]

@@ -1,0 +1,28 @@
+"""`promp`: the primitive conditioned on start and goal, but not adapted. The control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from smp_planner.planners.base import PlannerModel, Stopwatch, jaco_with
+from smp_planner.problem import Plan, Problem
+
+__all__ = ["ProMPPlanner"]
+
+
+class ProMPPlanner(PlannerModel):
+    """Draws from the conditioned primitive (Sec. III-A), the best of which is executed."""
+
+    name = "promp"
+
+    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return one plan for each problem; the same problem gives the same plan."""
+        return [self._plan(problem) for problem in problems]
+
+    def _plan(self, problem: Problem) -> Plan:
+        stopwatch = Stopwatch()
+        with stopwatch.stage("conditioning"):
+            robot = jaco_with(problem)
+            tied = self.tie(problem, robot)
+            latent = self.draw(tied, problem.seed)
+        return self.judge(problem, robot, tied, latent, {}, stopwatch)

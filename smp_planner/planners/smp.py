@@ -1,0 +1,187 @@
+"""`smp`: Stein Movement Primitives, the paper's Algorithm 1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from torch import Tensor
+
+from smp_gym.demonstrations import Demonstrations
+from smp_planner.costs import (
+    CollisionCost,
+    GoalCost,
+    JointLimitCost,
+    SelfCollisionCost,
+    VelocityLimitCost,
+)
+from smp_planner.inference import init, named_settings, step
+from smp_planner.movement_primitives import phases
+from smp_planner.occupancy import bake, scene_map
+from smp_planner.planners.base import (
+    PlannerModel,
+    PlannerSettings,
+    Stopwatch,
+    TiedPrimitive,
+    jaco_with,
+)
+from smp_planner.problem import Plan, Problem
+from smp_planner.robot_model import RobotModel
+from smp_planner.tracking import VELOCITY_FRACTION
+
+__all__ = ["SMPPlanner", "SMPSettings"]
+
+FloatArray = NDArray[np.float64]
+
+
+class SMPSettings(PlannerSettings):
+    """Settings of Stein Movement Primitives.
+
+    Attributes:
+        inference: one of `smp_planner.inference.SETTINGS`.
+        iterations: of SVGD.
+        step_size: of its first iteration; None takes the inference's own.
+        planning_steps: steps of phase at which costs are evaluated.
+        obstacle_weight: lambda of Eq. (12), for sums scaled to `costs.REFERENCE_STEPS` steps.
+        self_collision_weight: lambda of the same cost between the arm's own links.
+        margin: m, by which spheres are enlarged while planning.
+        edge_width: m, width of the map's edge in the first and the last iteration.
+        goal_sigma: m, tails of the smooth box prior around the goal, Eq. (14).
+        velocity_weight: of the excess over the joint velocity limits.
+        limit_weight: of the excess over the joint limits.
+        retries: how often a scene without a good particle is tried again with twice the width.
+    """
+
+    inference: Literal["default", "paper", "no_repulsion"] = "default"
+    iterations: int = Field(default=100, ge=1)
+    step_size: float | None = Field(default=None, gt=0.0)
+    planning_steps: int = Field(default=50, ge=10)
+    obstacle_weight: float = Field(default=3.0, gt=0.0)
+    self_collision_weight: float = Field(default=3.0, ge=0.0)
+    margin: float = Field(default=0.01, ge=0.0)
+    edge_width: tuple[float, float] = (0.05, 0.01)
+    goal_sigma: float = Field(default=0.005, gt=0.0)
+    velocity_weight: float = Field(default=10.0, ge=0.0)
+    limit_weight: float = Field(default=100.0, ge=0.0)
+    retries: int = Field(default=1, ge=0)
+
+
+class SMPPlanner(PlannerModel):
+    """A particle set from the conditioned primitive, carried to the posterior by SVGD."""
+
+    name = "smp"
+    Settings = SMPSettings
+    settings: SMPSettings
+
+    def __init__(
+        self, demonstrations: Demonstrations, settings: PlannerSettings | None = None
+    ) -> None:
+        super().__init__(demonstrations, settings)
+        s = self.settings
+        inference = replace(named_settings(s.inference), iterations=s.iterations)
+        if s.step_size is not None:
+            inference = replace(inference, step_size=s.step_size)
+        self._inference = inference
+
+    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return one plan for each problem; the same problem gives the same plan."""
+        return [self._plan(problem) for problem in problems]
+
+    def _plan(self, problem: Problem) -> Plan:
+        stopwatch = Stopwatch()
+        with stopwatch.stage("map"):
+            robot = jaco_with(problem)
+            likelihood = Likelihood(problem, robot, self.settings)
+        best: Plan | None = None
+        for attempt in range(self.settings.retries + 1):
+            with stopwatch.stage("conditioning"):
+                tied = self.tie(problem, robot, width=2.0**attempt)
+                latent = self.draw(tied, problem.seed)
+            with stopwatch.stage("inference"):
+                latent, costs = self._infer(tied, latent, likelihood)
+            plan = self.judge(problem, robot, tied, latent, costs, stopwatch)
+            if best is None or plan.good.any() > best.good.any():
+                best = plan
+            if best.good.any():
+                break
+        assert best is not None
+        return replace(best, timings=stopwatch.timings)
+
+    def _infer(
+        self, tied: TiedPrimitive, latent: Tensor, likelihood: Likelihood
+    ) -> tuple[Tensor, dict[str, FloatArray]]:
+        """Run Algorithm 1 and return particles (P, r), whitened, and their final costs."""
+        primitive, whiten = tied.primitive, self._inference.whiten
+        steps = self.settings.planning_steps
+        values = primitive.basis.values(phases(steps))
+        shape = (-1, primitive.basis.count, primitive.dimension)
+        state = init(latent if whiten else primitive.unwhiten(latent), self._inference)
+        for iteration in range(self._inference.iterations):
+            particles = state.particles
+            weights = primitive.unwhiten(particles) if whiten else particles
+            trajectories = (values @ weights.reshape(shape)).numpy()
+            progress = iteration / max(self._inference.iterations - 1, 1)
+            gradient = torch.from_numpy(likelihood.gradient(trajectories, progress))
+            pulled = (values.mT @ gradient).flatten(-2)
+            if whiten:
+                prior_score, score = -particles, -primitive.whiten_gradient(pulled)
+            else:
+                prior_score, score = primitive.score(particles), -pulled
+            state = step(state, prior_score, score, self._inference)
+        latent = state.particles if whiten else primitive.whiten(state.particles)
+        weights = primitive.unwhiten(latent)
+        return latent, likelihood.costs((values @ weights.reshape(shape)).numpy())
+
+
+class Likelihood:
+    """The likelihood of Eq. (7): all costs of a scene with their weights.
+
+    Args:
+        problem: gives obstacles and goals.
+        robot: arm with all that it carries.
+        settings: weights and widths.
+    """
+
+    def __init__(self, problem: Problem, robot: RobotModel, settings: SMPSettings) -> None:
+        self._settings = settings
+        self._obstacles = CollisionCost(robot, bake(scene_map(problem.obstacles)))
+        terms = {
+            "self_collision": (settings.self_collision_weight, SelfCollisionCost(robot)),
+            "goal": (1.0, GoalCost(robot, problem.goals, settings.goal_sigma)),
+            "velocity": (
+                settings.velocity_weight,
+                VelocityLimitCost(robot.velocity, settings.duration_limit, VELOCITY_FRACTION),
+            ),
+            "joint_limits": (
+                settings.limit_weight,
+                JointLimitCost(robot.lower, robot.upper, margin=0.02),
+            ),
+        }
+        self._terms = {name: term for name, term in terms.items() if term[0] > 0.0}
+
+    def gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
+        """Return the gradient (P, T, 6) of the weighted sum of costs.
+
+        Args:
+            trajectories: (P, T, 6) rad.
+            progress: 0 in the first iteration to 1 in the last; narrows the map's edge.
+        """
+        first, last = self._settings.edge_width
+        width = first * (last / first) ** progress
+        gradient = self._settings.obstacle_weight * self._obstacles(
+            trajectories, edge_width=width, margin=self._settings.margin
+        )[1]
+        for weight, cost in self._terms.values():
+            gradient += weight * cost(trajectories)[1]
+        return gradient
+
+    def costs(self, trajectories: FloatArray) -> dict[str, FloatArray]:
+        """Return the unweighted costs (P,) by name, with the map's edge at its last width."""
+        width = self._settings.edge_width[1]
+        costs = {"obstacles": self._obstacles(trajectories, edge_width=width)[0]}
+        return costs | {name: cost(trajectories)[0] for name, (_, cost) in self._terms.items()}

@@ -1,0 +1,132 @@
+"""What a planner is asked and what it answers: `Problem`, `Plan` and the `Planner` protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.kinematics import SphereSet
+from smp_gym.scene import Obstacle
+
+__all__ = ["GoalRegion", "Plan", "Planner", "Problem"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def _checked(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
+    array = np.asarray(value, np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array}")
+    return array
+
+
+@dataclass(frozen=True)
+class GoalRegion:
+    """A box in which a point carried by the hand must be when the trajectory ends.
+
+    Attributes:
+        point: (3,) m, fixed in the end-effector frame (for Placement, the object's centre).
+        lower: (3,) m, lower corner of the box in the base frame.
+        upper: (3,) m, upper corner.
+    """
+
+    point: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("point", "lower", "upper"):
+            object.__setattr__(self, name, _checked(f"GoalRegion.{name}", getattr(self, name), (3,)))
+        if not (self.lower <= self.upper).all():
+            raise ValueError(f"GoalRegion.lower {self.lower} must not exceed upper {self.upper}")
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) m, middle of the box."""
+        return (self.lower + self.upper) / 2
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One scene to plan in.
+
+    Attributes:
+        start: (6,) rad, the configuration in which the trajectory begins.
+        obstacles: all that must not be touched: obstacles and the task's fixtures.
+        attached: spheres that move rigidly with the last link: fingers and held object.
+        goals: at least one region; ending in any of them will do.
+        seed: from which all randomness of the plan is drawn.
+    """
+
+    start: FloatArray
+    obstacles: tuple[Obstacle, ...]
+    attached: SphereSet
+    goals: tuple[GoalRegion, ...]
+    seed: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", _checked("Problem.start", self.start, (6,)))
+        if not self.goals:
+            raise ValueError("Problem.goals must hold at least one GoalRegion, got none")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A set of P particles, each a whole trajectory, and what is known of each.
+
+    Attributes:
+        weights: (P, K, D) weights of the primitive; T and D below as in `trajectories`.
+        trajectories: (P, T, D) rad, at equal steps of phase.
+        costs: unweighted cost of each particle by name, each (P,).
+        collision_free: (P,) whether a dense check on the exact map finds no collision.
+        clearance: (P,) m, least distance to anything in the exact map (negative inside).
+        goal_error: (P,) m, distance of the end point to the nearest goal region (0 inside).
+        duration: (P,) s, shortest execution within the joint velocity limits.
+        executable: (P,) whether joint limits hold and `duration` is within the planner's limit.
+        chosen: index of the particle to execute.
+        timings: seconds of each stage by name, in order.
+        message: empty, or why no particle is good.
+    """
+
+    weights: FloatArray
+    trajectories: FloatArray
+    costs: Mapping[str, FloatArray]
+    collision_free: BoolArray
+    clearance: FloatArray
+    goal_error: FloatArray
+    duration: FloatArray
+    executable: BoolArray
+    chosen: int
+    timings: Mapping[str, float] = field(default_factory=dict)
+    message: str = ""
+
+    @property
+    def good(self) -> BoolArray:
+        """(P,) whether a particle is collision-free and executable."""
+        return self.collision_free & self.executable
+
+    @property
+    def planning_time(self) -> float:
+        """Seconds of all stages together."""
+        return float(sum(self.timings.values()))
+
+
+@runtime_checkable
+class Planner(Protocol):
+    """Anything that answers problems with plans; batched over problems."""
+
+    @property
+    def name(self) -> str:
+        """Name of the method, as the command line knows it."""
+        ...
+
+    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return one plan for each problem; the same problem gives the same plan."""
+        ...

@@ -1,0 +1,72 @@
+"""From what an observation says to the problem that a planner solves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smp_gym.kinematics import box_spheres, concatenate, end_effector_pose, finger_spheres
+from smp_gym.observation import DecodedObservation
+from smp_gym.scene import BIN_HEIGHT, Goal, fixtures
+from smp_planner.problem import GoalRegion, Problem
+
+__all__ = ["problem_from"]
+
+RELEASE_HEIGHT = (0.005, 0.035)
+"""Least and greatest height of the object's lowest point above the rim when it is let go, m."""
+
+RELEASE_HALF_WIDTH = 0.02
+"""Half width of the square above the bin's middle in which the object's centre is let go, m."""
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalRegion:
+    """Return where the object's centre may be when the hand opens over a bin.
+
+    Args:
+        goal: the bin.
+        point: (3,) the object's centre in the end-effector frame.
+        reach_down: distance from the object's centre to its lowest point, m.
+    """
+    x, y, z = goal.position
+    rim = z + BIN_HEIGHT + reach_down
+    lower = (x - RELEASE_HALF_WIDTH, y - RELEASE_HALF_WIDTH, rim + RELEASE_HEIGHT[0])
+    upper = (x + RELEASE_HALF_WIDTH, y + RELEASE_HALF_WIDTH, rim + RELEASE_HEIGHT[1])
+    return GoalRegion(point, np.array(lower), np.array(upper))
+
+
+def problem_from(decoded: DecodedObservation, seed: int) -> Problem:
+    """Return the problem that one observation poses.
+
+    The hand's fingers and the object are taken to move rigidly with the hand, as they do now.
+
+    Args:
+        decoded: what the observation says.
+        seed: of the plan's randomness.
+    """
+    hand = end_effector_pose(decoded.robot.configuration)
+    object_pose = np.eye(4)
+    object_pose[:3, :3] = _rotation(decoded.object.quaternion)
+    object_pose[:3, 3] = decoded.object.position
+    held = np.linalg.inv(hand) @ object_pose
+    attached = concatenate(
+        finger_spheres(decoded.robot.finger_angles), box_spheres(decoded.object.size, held)
+    )
+    reach_down = float(np.abs(object_pose[2, :3]) @ decoded.object.size)
+    goals = tuple(_release_region(g, held[:3, 3], reach_down) for g in decoded.scene.goals)
+    return Problem(
+        start=decoded.robot.reference,
+        obstacles=(*decoded.scene.obstacles, *fixtures(decoded.scene)),
+        attached=attached,
+        goals=goals,
+        seed=seed,
+    )

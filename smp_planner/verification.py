@@ -1,0 +1,391 @@
+"""The exact check of finished trajectories: collisions between the steps, joint limits, duration.
+
+Nothing learned and no grid: spheres against the exact distance of the obstacles, along the whole
+piecewise linear path in joint space. Between two configurations no sphere can come nearer to
+anything than half of what is left of the two distances after the length of its way is taken off;
+where that does not settle the matter, the segment is halved. So the result holds for the path, not
+only for samples of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from smp_gym.scene import Obstacle
+from smp_planner.costs import EXECUTABLE_FRACTION, check_trajectories
+from smp_planner.kernels import FAST, chain, place
+from smp_planner.occupancy.analytic import PackedObstacles, point_distance
+from smp_planner.robot_model import RobotModel
+
+__all__ = [
+    "DURATION_LIMIT",
+    "TOLERANCE",
+    "CollisionCheck",
+    "Verification",
+    "check_collisions",
+    "minimum_duration",
+    "segment_durations",
+    "verify",
+    "within_joint_limits",
+]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+TOLERANCE = 1e-3
+"""Metres by which the clearance of a path may be overestimated."""
+
+DURATION_LIMIT = 15.0
+"""Seconds within which an executable trajectory is finished."""
+
+# Distances of farther pairs of spheres of the arm are not told apart, m.
+_SELF_HORIZON = 0.05
+# A sphere is measured anew when it may be this near to being the closest, m: small values measure
+# less, large ones halve fewer segments.
+_SLACK = 0.05
+# Halvings of one segment: enough for a segment of a kilometre at a tolerance of a millimetre.
+_DEPTH = 22
+
+
+@dataclass(frozen=True)
+class CollisionCheck:
+    """What the check against obstacles and the arm itself found, for P trajectories.
+
+    Attributes:
+        clearance: (P,) m, least distance of a sphere to an obstacle, negative inside; infinity
+            without obstacles. The path may come nearer by `TOLERANCE`, no more.
+        free: (P,) whether the whole path is certainly clear of obstacles and of the arm itself.
+        self_free: (P,) whether it is clear of the arm itself.
+    """
+
+    clearance: FloatArray
+    free: BoolArray
+    self_free: BoolArray
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All that decides whether trajectories can be executed, for P of them.
+
+    Attributes:
+        collision_free: (P,) as `CollisionCheck.free`.
+        self_collision_free: (P,) as `CollisionCheck.self_free`.
+        clearance: (P,) m, as `CollisionCheck.clearance`.
+        within_limits: (P,) whether all configurations respect the joint limits.
+        duration: (P,) s, shortest execution, see `minimum_duration`.
+        executable: (P,) whether joint limits hold and the duration is within the limit.
+    """
+
+    collision_free: BoolArray
+    self_collision_free: BoolArray
+    clearance: FloatArray
+    within_limits: BoolArray
+    duration: FloatArray
+    executable: BoolArray
+
+
+@njit(cache=True, fastmath=FAST, nogil=True)
+def _self_gap(  # type: ignore[no-untyped-def]
+    placed, balls, radius, groups, sizes, pairs, ball_radius
+):
+    """Return the least gap between spheres of `pairs`, m, or the horizon if that is less."""
+    least = _SELF_HORIZON
+    for g in range(groups.shape[0]):
+        i, j = groups[g, 0], groups[g, 1]
+        dx = balls[i, 0] - balls[j, 0]
+        dy = balls[i, 1] - balls[j, 1]
+        dz = balls[i, 2] - balls[j, 2]
+        clear = ball_radius[i] + ball_radius[j] + least
+        if dx * dx + dy * dy + dz * dz >= clear * clear:
+            continue
+        for m in range(groups[g, 2], groups[g, 2] + sizes[g]):
+            u, v = pairs[m, 0], pairs[m, 1]
+            dx = placed[u, 0] - placed[v, 0]
+            dy = placed[u, 1] - placed[v, 1]
+            dz = placed[u, 2] - placed[v, 2]
+            between = radius[u] + radius[v]
+            square = dx * dx + dy * dy + dz * dz
+            if square < max(between + least, 0.0) ** 2:
+                least = math.sqrt(square) - between
+    return least
+
+
+@njit(cache=True, fastmath=FAST, nogil=True)
+def _check(  # type: ignore[no-untyped-def]
+    trajectories,
+    base,
+    origins,
+    link,
+    center,
+    radius,
+    lever,
+    groups,
+    sizes,
+    pairs,
+    ball_center,
+    ball_radius,
+    shape,
+    rotations,
+    positions,
+    size,
+    bound,
+    tolerance,
+    clearance,
+    self_free,
+):
+    """Write clearance (P,) and self_free (P,); see `check_collisions`.
+
+    `lever` (S,n) bounds the distance of a sphere from the axis of each joint.
+    """
+    count, steps, joints = trajectories.shape
+    spheres = link.shape[0]
+    rotation = np.empty((joints + 1, 3, 3))
+    position = np.empty((joints + 1, 3))
+    cosine = np.empty(joints)
+    sine = np.empty(joints)
+    placed = np.empty((spheres, 3))
+    balls = np.empty((joints + 1, 3))
+    links = np.arange(joints + 1)
+    measured_at = np.empty((spheres, 3))
+    measured = np.empty(spheres)
+    way = np.empty(spheres)
+    # Row 0 is the configuration up to which the path is settled; above it those still ahead.
+    at = np.empty(_DEPTH + 2)
+    gap = np.empty((_DEPTH + 2, spheres))
+    self_gap = np.empty(_DEPTH + 2)
+    for p in range(count):
+        nearest = np.inf
+        # As if every sphere had been measured infinitely far away in contact: all are measured.
+        measured[:] = -np.inf
+        measured_at[:] = 0.0
+        clear_of_itself = True
+        for t in range(steps):
+            before = max(t - 1, 0)
+            longest = 0.0
+            for s in range(spheres):
+                way[s] = 0.0
+                for j in range(joints):
+                    way[s] += abs(trajectories[p, t, j] - trajectories[p, before, j]) * lever[s, j]
+                longest = max(longest, way[s])
+            top = 1
+            at[0] = 0.0
+            at[1] = 1.0
+            fresh = True
+            while top > 0:
+                if fresh:
+                    u = at[top]
+                    for j in range(joints):
+                        start, end = trajectories[p, before, j], trajectories[p, t, j]
+                        angle = start + u * (end - start)
+                        cosine[j] = math.cos(angle)
+                        sine[j] = math.sin(angle)
+                    chain(cosine, sine, base, origins, rotation, position)
+                    place(rotation, position, link, center, placed)
+                    for s in range(spheres):
+                        if link[s] == 0:
+                            gap[top, s] = np.inf
+                            continue
+                        x, y, z = placed[s, 0], placed[s, 1], placed[s, 2]
+                        dx = x - measured_at[s, 0]
+                        dy = y - measured_at[s, 1]
+                        dz = z - measured_at[s, 2]
+                        least = measured[s] - math.sqrt(dx * dx + dy * dy + dz * dz)
+                        # "not >=" measures also where both are infinite.
+                        if not least >= nearest + _SLACK:
+                            least = (
+                                point_distance(x, y, z, shape, rotations, positions, size, bound)
+                                - radius[s]
+                            )
+                            measured[s] = least
+                            measured_at[s, 0] = x
+                            measured_at[s, 1] = y
+                            measured_at[s, 2] = z
+                            nearest = min(nearest, least)
+                        gap[top, s] = least
+                    if clear_of_itself:
+                        place(rotation, position, links, ball_center, balls)
+                        self_gap[top] = _self_gap(
+                            placed, balls, radius, groups, sizes, pairs, ball_radius
+                        )
+                        clear_of_itself = self_gap[top] >= tolerance
+                    fresh = False
+                share = at[top] - at[0]
+                settled = True
+                if t > 0 and share * longest > 2.0 * tolerance and top < _DEPTH + 1:
+                    if clear_of_itself:
+                        settled = self_gap[0] + self_gap[top] >= share * longest
+                    if settled:
+                        for s in range(spheres):
+                            ahead = 0.5 * (gap[0, s] + gap[top, s] - share * way[s])
+                            if ahead < nearest - tolerance:
+                                settled = False
+                                break
+                if settled:
+                    at[0] = at[top]
+                    self_gap[0] = self_gap[top]
+                    gap[0] = gap[top]
+                    top -= 1
+                else:
+                    at[top + 1] = 0.5 * (at[0] + at[top])
+                    top += 1
+                    fresh = True
+        clearance[p] = nearest
+        self_free[p] = clear_of_itself
+
+
+def _levers(robot: RobotModel) -> FloatArray:
+    """Return (S,n) m: no sphere is ever farther from the axis of a joint; 0 if it is not moved.
+
+    By the triangle inequality, from the sphere inwards.
+    """
+    origins = robot.joint_origins[:, :3, 3]
+    lever = np.zeros((len(robot.link), robot.joints))
+    for s, (link, center) in enumerate(zip(robot.link, robot.center, strict=True)):
+        beyond = 0.0
+        for joint in range(link - 1, -1, -1):
+            arm = center if joint == link - 1 else origins[joint + 1]
+            lever[s, joint] = math.hypot(arm[0], arm[1]) + beyond
+            beyond += float(np.linalg.norm(arm))
+    return lever
+
+
+def check_collisions(
+    trajectories: ArrayLike,
+    robot: RobotModel,
+    obstacles: Sequence[Obstacle] | PackedObstacles,
+    tolerance: float = TOLERANCE,
+) -> CollisionCheck:
+    """Check whole paths against obstacles and the arm itself.
+
+    The path is linear in joint space between the given configurations. Spheres on link 0 are not
+    checked against obstacles: they stand where the robot is mounted.
+
+    Args:
+        trajectories: (P,T,n) rad.
+        robot: the arm and what it carries.
+        obstacles: bodies at rest.
+        tolerance: m, by which the clearance may be overestimated; a path is free if its clearance
+            is at least this.
+
+    Raises:
+        ValueError: wrong shape or not finite, or `tolerance` is not positive.
+    """
+    q = check_trajectories(trajectories, robot.joints)
+    if not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise ValueError(f"tolerance must be positive, got {tolerance}")
+    packed = obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
+    pairs = robot.link_pairs
+    clearance, self_free = np.empty(len(q)), np.empty(len(q), np.bool_)
+    _check(
+        q,
+        robot.base,
+        robot.joint_origins,
+        robot.link,
+        robot.center,
+        robot.radius,
+        _levers(robot),
+        pairs.groups,
+        pairs.sizes,
+        pairs.pairs,
+        pairs.ball_center,
+        pairs.ball_radius,
+        *packed.arrays,
+        tolerance,
+        clearance,
+        self_free,
+    )
+    return CollisionCheck(clearance, (clearance >= tolerance) & self_free, self_free)
+
+
+def segment_durations(
+    trajectories: ArrayLike, velocity: ArrayLike, fraction: float = EXECUTABLE_FRACTION
+) -> FloatArray:
+    """Return how long each segment takes at least, (P,T-1) s, when its slowest joint sets the pace.
+
+    Args:
+        trajectories: (P,T,n) rad.
+        velocity: (n,) rad/s, velocity limits.
+        fraction: share of the limits that may be used.
+
+    Raises:
+        ValueError: wrong shape, not finite, or limits or fraction not positive.
+    """
+    limits = np.asarray(velocity, np.float64)
+    if limits.ndim != 1 or not (np.isfinite(limits) & (limits > 0.0)).all():
+        raise ValueError(f"velocity must be (n,) positive numbers, got {velocity}")
+    if not (math.isfinite(fraction) and fraction > 0.0):
+        raise ValueError(f"fraction must be positive, got {fraction}")
+    q = check_trajectories(trajectories, len(limits))
+    return (np.abs(np.diff(q, axis=1)) / (fraction * limits)).max(axis=2)
+
+
+def minimum_duration(
+    trajectories: ArrayLike,
+    velocity: ArrayLike,
+    fraction: float = EXECUTABLE_FRACTION,
+    even: bool = False,
+) -> FloatArray:
+    """Return the shortest duration (P,) s within the velocity limits.
+
+    Args:
+        trajectories: (P,T,n) rad.
+        velocity: (n,) rad/s, velocity limits.
+        fraction: share of the limits that may be used.
+        even: whether the phase must run evenly, so that the slowest segment sets the pace of all;
+            otherwise every segment takes what it needs.
+
+    Raises:
+        ValueError: as in `segment_durations`.
+    """
+    durations = segment_durations(trajectories, velocity, fraction)
+    if even and durations.shape[1]:
+        return durations.max(axis=1) * durations.shape[1]
+    return durations.sum(axis=1)
+
+
+def within_joint_limits(trajectories: ArrayLike, robot: RobotModel) -> BoolArray:
+    """Return (P,) whether trajectories (P,T,n) rad stay within the joint limits.
+
+    Raises:
+        ValueError: wrong shape or not finite.
+    """
+    q = check_trajectories(trajectories, robot.joints)
+    return ((q >= robot.lower) & (q <= robot.upper)).all(axis=(1, 2))
+
+
+def verify(
+    trajectories: ArrayLike,
+    robot: RobotModel,
+    obstacles: Sequence[Obstacle] | PackedObstacles,
+    duration_limit: float = DURATION_LIMIT,
+) -> Verification:
+    """Check collisions, joint limits and duration of trajectories (P,T,n) rad.
+
+    Args:
+        trajectories: (P,T,n) rad.
+        robot: the arm and what it carries.
+        obstacles: bodies at rest.
+        duration_limit: s, within which an executable trajectory is finished.
+
+    Raises:
+        ValueError: wrong shape or not finite, or `duration_limit` is not positive.
+    """
+    if not duration_limit > 0.0:
+        raise ValueError(f"duration_limit must be positive, got {duration_limit}")
+    check = check_collisions(trajectories, robot, obstacles)
+    limits = within_joint_limits(trajectories, robot)
+    duration = minimum_duration(trajectories, robot.velocity)
+    return Verification(
+        collision_free=check.free,
+        self_collision_free=check.self_free,
+        clearance=check.clearance,
+        within_limits=limits,
+        duration=duration,
+        executable=limits & (duration <= duration_limit),
+    )

@@ -1,0 +1,38 @@
+"""Schedules against what they promise."""
+
+import math
+
+import pytest
+
+from smp_planner.inference.annealing import linear_decay, tanh_annealing
+
+
+def test_tanh_annealing_rises_to_one_and_stays():
+    factors = [tanh_annealing(i, 100, 0.7) for i in range(100)]
+    assert 0 < factors[0] < 0.05
+    assert all(a < b for a, b in zip(factors[:69], factors[1:70], strict=True))
+    assert factors[69:] == pytest.approx([1.0] * 31)
+    assert factors[34] == pytest.approx(math.tanh(0.65) / math.tanh(1.3))
+
+
+def test_linear_decay_goes_from_one_to_final():
+    factors = [linear_decay(i, 11, 0.1) for i in range(11)]
+    assert factors[0] == 1.0
+    assert factors[5] == pytest.approx(0.55)
+    assert factors[-1] == pytest.approx(0.1)
+    assert linear_decay(0, 1, 0.1) == 1.0
+
+
+@pytest.mark.parametrize("iteration", [-1, 10])
+def test_an_iteration_outside_the_run_is_an_error(iteration):
+    with pytest.raises(ValueError, match=r"iteration must be in 0 \.\. 9"):
+        tanh_annealing(iteration, 10)
+    with pytest.raises(ValueError, match=r"iteration must be in 0 \.\. 9"):
+        linear_decay(iteration, 10, 0.1)
+
+
+def test_fractions_out_of_range_are_errors():
+    with pytest.raises(ValueError, match=r"fraction must be in \(0, 1\]"):
+        tanh_annealing(0, 10, 0.0)
+    with pytest.raises(ValueError, match=r"final must be in \[0, 1\]"):
+        linear_decay(0, 10, 1.5)

@@ -1,0 +1,112 @@
+"""The rules of the house that no single room can check: who may import what, and no pickle."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("smp_gym", "smp_planner", "envs_assets")
+ALLOWED_OF_GYM = {"scene", "observation", "kinematics", "demonstrations"}
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
+
+
+def _imports(tree: ast.AST) -> Iterator[str]:
+    """Yield the full dotted names that a module imports, wherever in it the import stands."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute, so that they can be checked"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _violations(path: Path, source: str) -> list[str]:
+    """Return what a file of one of the packages breaks, given by its path below the root."""
+    package, *rooms = path.with_suffix("").parts
+    in_benchmark = rooms[:1] == ["benchmark"]
+    tree = ast.parse(source)
+    found = []
+    for name in _imports(tree):
+        top, *rest = name.split(".")
+        if top in {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}:
+            found.append(f"imports {name}: no file runs code")
+        if package == "smp_gym" and top == "smp_planner":
+            found.append(f"imports {name}: the tasks know nothing of planning")
+        if package == "smp_planner" and top in {"pybullet", "pybullet_data"}:
+            found.append(f"imports {name}: planning never touches the physics")
+        if package == "smp_planner" and not in_benchmark:
+            if top == "smp_gym" and (not rest or rest[0] not in ALLOWED_OF_GYM):
+                found.append(f"imports {name}: only {sorted(ALLOWED_OF_GYM)} of smp_gym")
+            if name in {"gymnasium.make", "gymnasium.make_vec"}:
+                found.append(f"imports {name}: only benchmark/ makes environments")
+        if package == "envs_assets" and top in PACKAGES:
+            found.append(f"imports {name}: data only")
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        called = ast.unparse(node.func)
+        if package == "smp_planner" and not in_benchmark and called.split(".")[-1] == "make":
+            owner = called.rpartition(".")[0]
+            if owner in {"gym", "gymnasium"}:
+                found.append(f"calls {called}: only benchmark/ makes environments")
+        for keyword in node.keywords:
+            safe = {"allow_pickle": "False", "weights_only": "True"}.get(keyword.arg or "")
+            if safe is not None and ast.unparse(keyword.value) != safe:
+                found.append(f"calls {called} with {keyword.arg}: no file runs code")
+        if called == "torch.load" and "weights_only" not in {k.arg for k in node.keywords}:
+            found.append("calls torch.load without weights_only=True: no file runs code")
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports(path: Path) -> None:
+    assert _violations(path.relative_to(ROOT), path.read_text()) == []
+
+
+@pytest.mark.parametrize("path", [*FILES, *SCRIPTS], ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_module_says_what_it_is(path: Path) -> None:
+    if path.stat().st_size:
+        assert ast.get_docstring(ast.parse(path.read_text()))
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("smp_gym/env.py", "from smp_planner.problem import Plan"),
+        ("smp_gym/env.py", "def f():\n    import smp_planner"),
+        ("smp_planner/costs.py", "import pybullet as p"),
+        ("smp_planner/costs.py", "from smp_gym.world import BulletWorld"),
+        ("smp_planner/costs.py", "import smp_gym"),
+        ("smp_planner/costs.py", "import gymnasium as gym\ngym.make('a')"),
+        ("smp_planner/costs.py", "from gymnasium import make"),
+        ("smp_planner/benchmark/runner.py", "import pybullet"),
+        ("smp_planner/policy_file.py", "import pickle"),
+        ("smp_planner/policy_file.py", "np.load(path, allow_pickle=True)"),
+        ("smp_planner/policy_file.py", "np.load(path, allow_pickle=flag)"),
+        ("smp_planner/policy_file.py", "torch.load(path)"),
+        ("smp_planner/policy_file.py", "torch.load(path, weights_only=False)"),
+    ],
+)
+def test_the_check_sees_violations(path: str, source: str) -> None:
+    assert _violations(Path(path), source)
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("smp_planner/costs.py", "from smp_gym.scene import Obstacle"),
+        ("smp_planner/costs.py", "import smp_gym.kinematics"),
+        ("smp_planner/costs.py", "PlannerPolicy.make('smp')"),
+        (
+            "smp_planner/benchmark/episodes.py",
+            "import smp_gym\nimport gymnasium as gym\ngym.make('a')",
+        ),
+        ("smp_planner/policy_file.py", "np.load(path, allow_pickle=False)"),
+        ("smp_planner/policy_file.py", "torch.load(path, weights_only=True)"),
+    ],
+)
+def test_the_check_lets_the_allowed_pass(path: str, source: str) -> None:
+    assert _violations(Path(path), source) == []
