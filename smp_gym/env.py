@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any, ClassVar, Literal
 
 import gymnasium
@@ -13,15 +14,15 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from smp_gym import assets, kinematics
-from smp_gym.jaco import ACTION_SIZE, FINGER_CLOSED, HAND_LINKS, Jaco, set_grip_friction
+from smp_gym import assets
+from smp_gym.jaco import ACTION_SIZE, HAND_LINKS, Jaco, set_grip_friction
+from smp_gym.kinematics import LINKS
 from smp_gym.observation import (
     CONTROL_PERIOD,
     MAX_EPISODE_STEPS,
     ObjectState,
     Observation,
     encode,
-    encode_desired_goal,
     observation_space,
 )
 from smp_gym.scene import (
@@ -56,8 +57,11 @@ CLEARANCE_LIMIT = 0.05
 DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.2), distance=1.75, yaw=62.0, pitch=-28.0)
 
 _ACTION_TOLERANCE = 1e-6
-_CLOSING_STEPS = 20
+_CLOSING_STEPS = 30
 _SETTLING_STEPS = 20
+_GRASP_TOLERANCE = 0.01
+# PyBullet never frees the shapes of bodies that were removed, a few kilobytes each.
+_EPISODES_PER_WORLD = 500
 _TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
 _BIN_COLOR = (0.30, 0.45, 0.62, 1.0)
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
@@ -79,14 +83,14 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     """A manipulation task among obstacles, drawn anew in each episode.
 
     **Actions** are `Box(-1, 1, (7,))`: six joint velocities as fractions of the joints' limits
-    (`smp_gym.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. An action with an entry
-    that is not finite or further than 1e-6 outside the box is an error.
+    (`smp_gym.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. An action with an
+    entry that is not finite or further than 1e-6 outside the box is an error.
 
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
 
-    **Rewards**: -1 a step, 0 at success, -100 at a collision; both end the episode. ``"dense"`` adds
-    the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential being 0
-    once the episode has ended.
+    **Rewards**: -1 a step, 0 at success, -100 at a collision; both end the episode. "dense" adds
+    the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential being
+    0 once the episode has ended.
 
     **Collisions**: any contact of the arm or of the held object that the task does not need, looked
     for after every physics step.
@@ -97,11 +101,10 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     evaluation and come up only when asked for.
 
     **Info**, in every step: ``is_success``; ``collided``; ``collision``, the names of the two
-    parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle, m,
-    at most 0.05; ``failure``, "" or why the episode has failed: "collision", the task's own cause
-    (Placement: "dropped"), or "timeout"; ``seed`` (None for a scene that was handed in without
-    one); ``difficulty``. `reset` adds ``scene``, the scene as JSON. With the dense reward there is
-    also ``previous_achieved_goal``.
+    parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle,
+    m, at most 0.05; ``failure``, "" or why the episode has failed: "collision", the task's own
+    cause (Placement: "dropped"), or "timeout"; ``seed`` (None for a scene that was handed in
+    without one); ``difficulty``; with the dense reward also ``previous_achieved_goal``.
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
@@ -144,12 +147,14 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.reward = reward
         self.render_mode = render_mode
         self._width, self._height = width, height
-        self._camera = _camera(camera)
+        self._camera = _make_camera(camera)
         self.observation_space = observation_space(self.task.name)
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
         self._world = BulletWorld(gui=render_mode == "human")
         self._grasp: _Grasp | None = None
+        self._episodes = 0
         self._scene: Scene | None = None
+        self._collision: Contact | None = None
         self._next_frame = 0.0
 
     # Gymnasium's interface
@@ -183,11 +188,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         except ValueError:
             self._scene = None
             raise
-        observation, info = self._observe(), self._info()
-        info["scene"] = scene.to_json()
+        observation = self._observe()
+        self._achieved = observation["achieved_goal"]
         if self.render_mode == "human":
+            self._world.look(self._camera)
             self.render()
-        return observation, info
+        return observation, self._info()
 
     def step(
         self, action: NDArray[np.float32]
@@ -203,10 +209,11 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         """
         self._check_open()
         checked = _checked_action(action)
-        scene = self.scene
-        previous = self._achieved
+        _ = self.scene
         self._jaco.integrate(checked)
         self._jaco.track()
+        self._squeezing = self._jaco.squeezes(self._robot)
+        self._contacts = set()
         for _ in range(SUBSTEPS):
             self._world.step()
             if self._judge_contacts():
@@ -214,6 +221,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._elapsed += 1
         self._measure()
         observation = self._observe()
+        previous, self._achieved = self._achieved, observation["achieved_goal"]
         desired = observation["desired_goal"]
         self._succeeded = bool(self.task.success(self._achieved, desired))
         terminated = self._succeeded or self._collision is not None
@@ -222,7 +230,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         info = self._info()
         if self.reward == "dense":
             info["previous_achieved_goal"] = previous
-        reward = float(self.compute_reward(self._achieved, encode_desired_goal(scene), info))
+        reward = float(self.compute_reward(self._achieved, desired, info))
         if self.render_mode == "human":
             self.render()
         return observation, reward, terminated, False, info
@@ -295,8 +303,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     def _load(self, scene: Scene) -> None:
         assert scene.manipulated is not None
         grasp = _Grasp(scene.start, scene.manipulated)
-        if grasp != self._grasp:
+        if grasp != self._grasp or self._episodes >= _EPISODES_PER_WORLD:
             self._build(grasp)
+        self._episodes += 1
         self._world.restore(self._settled)
         self._jaco.set_reference(scene.start, 1.0)
         self._world.place("bin", scene.goals[0].position)
@@ -306,12 +315,14 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._elapsed = 0
         self._calm_steps = 0
         self._failure = ""
-        self._collision: Contact | None = None
+        self._collision = None
         self._succeeded = False
         self._clearance = CLEARANCE_LIMIT
+        self._robot = self._jaco.state()
+        self._squeezing = True
+        self._contacts = set()
         if self._judge_contacts():
-            a, b = self._collision or ("", "")
-            raise ValueError(f"the scene begins with a collision of {a} with {b}")
+            raise ValueError(f"the scene begins with a collision: {self._collision}")
         self._measure()
 
     def _build(self, grasp: _Grasp) -> None:
@@ -319,33 +330,191 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._grasp = None
         world = self._world
         world.clear()
-        table, *walls = fixtures(_bin_at_origin(grasp))
+        table, *walls = fixtures(_scene_with_bin_at_origin(self.task.name, grasp))
         world.add_body("table", (table,), color=_TABLE_COLOR)
         world.add_body("bin", walls, color=_BIN_COLOR, position=_BIN_PARKING)
         self._jaco = Jaco(world, assets.jaco_urdf(), grasp.start)
-        size, mass = grasp.manipulated.size, grasp.manipulated.mass
-        block = Obstacle(shape="box", position=_ORIGIN, size=size)
-        position, quaternion = self._jaco.grasp_pose()
+        block = Obstacle(shape="box", position=_ORIGIN, size=grasp.manipulated.size)
+        position, quaternion = self._jaco.carried(self.task.object_in_hand)
         world.add_body(
             "object",
             (block,),
             color=_OBJECT_COLOR,
-            mass=mass,
+            mass=grasp.manipulated.mass,
             position=position,
             quaternion=quaternion,
         )
         set_grip_friction(world, world.body("object"), -1)
+        world.reserve_obstacles()
         self._jaco.set_reference(grasp.start, 1.0)
-        # Weightless until the fingers have closed, then let it hang.
+        # Weightless until the fingers have closed on it, then let it hang.
         for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
             world.set_gravity(gravity)
             for _ in range(steps):
                 self._jaco.track()
                 for _ in range(SUBSTEPS):
                     world.step()
-        if ("object", HAND_LINKS[1]) not in world.contacts():
-            pass
+        expected, _ = self._jaco.carried(self.task.object_in_hand)
+        slip = float(np.linalg.norm(world.pose("object")[0] - expected))
+        if slip > _GRASP_TOLERANCE:
+            raise ValueError(
+                f"the hand cannot hold an object of half-extents {grasp.manipulated.size} m and "
+                f"{grasp.manipulated.mass} kg in the configuration {grasp.start}"
+            )
         self._settled = world.snapshot()
         self._grasp = grasp
+        self._episodes = 0
 
-    # Measuring and judging
+    # Judging and measuring
+
+    def _judge_contacts(self) -> bool:
+        """Look for a forbidden contact, remember it, and return whether there is one."""
+        contacts = self._world.contacts()
+        # Within a step the verdict depends on the contacts alone, and they seldom change.
+        if contacts == self._contacts:
+            return False
+        self._contacts = contacts
+        permitted = self.task.permitted_contacts(self._held())
+        forbidden = [pair for pair in contacts if _groups(pair) not in permitted]
+        if forbidden:
+            self._collision = min(forbidden)
+        return bool(forbidden)
+
+    def _object_contacts(self) -> frozenset[str]:
+        """Return the groups that touch the object."""
+        return frozenset(
+            _group(b if a == "object" else a) for a, b in self._contacts if "object" in (a, b)
+        )
+
+    def _held(self) -> bool:
+        """Return whether the hand grips the object: touches it and is not opening."""
+        return self._squeezing and "hand" in self._object_contacts()
+
+    def _measure(self) -> None:
+        """Take stock of arm and object at the end of a step."""
+        world = self._world
+        self._robot = self._jaco.state()
+        position, quaternion = world.pose("object")
+        linear, angular = world.velocity("object")
+        assert self._scene is not None
+        assert self._scene.manipulated is not None
+        self._object = ObjectState(
+            position=position,
+            quaternion=quaternion,
+            linear_velocity=linear,
+            angular_velocity=angular,
+            size=np.array(self._scene.manipulated.size),
+        )
+        contacts, held = self._object_contacts(), self._held()
+        still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in contacts
+        self._calm_steps = self._calm_steps + 1 if still else 0
+        self._clearance = world.clearance(
+            ("jaco", "object") if held else ("jaco",), world.obstacles, self._clearance
+        )
+        self._status = Status(
+            object_position=position,
+            object_contacts=contacts,
+            held=held,
+            calm_steps=self._calm_steps,
+            collided=self._collision is not None,
+        )
+        if self._collision is not None:
+            self._failure = "collision"
+        elif not self._failure:
+            self._failure = self.task.failure(self._status)
+
+    def _observe(self) -> Observation:
+        return encode(
+            self.scene,
+            self._robot,
+            self._object,
+            self.task.achieved_goal(self._status),
+            self._elapsed,
+        )
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "is_success": self._succeeded,
+            "collided": self._collision is not None,
+            "collision": self._collision,
+            "clearance": self._clearance,
+            "failure": self._failure,
+            "seed": self.scene.seed,
+            "difficulty": self.scene.difficulty,
+        }
+
+
+_HAND = frozenset(HAND_LINKS)
+
+
+@cache
+def _group(part: str) -> str:
+    """Return the group of a part, as `Task.permitted_contacts` names them."""
+    if part in _HAND:
+        return "hand"
+    if part in LINKS:
+        return "arm"
+    return "obstacle" if part.startswith("obstacle") else part
+
+
+def _groups(pair: Contact) -> tuple[str, str]:
+    a, b = sorted((_group(pair[0]), _group(pair[1])))
+    return a, b
+
+
+def _check_choice(name: str, value: Any, allowed: Sequence[Any]) -> None:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {', '.join(map(str, allowed))}; got {value!r}")
+
+
+def _make_camera(changes: Mapping[str, Any] | None) -> Camera:
+    try:
+        return replace(DEFAULT_CAMERA, **(changes or {}))
+    except TypeError:
+        names = [field.name for field in fields(Camera)]
+        raise ValueError(
+            f"camera may hold the entries {', '.join(names)}; got {changes!r}"
+        ) from None
+
+
+def _scene_with_bin_at_origin(task: str, grasp: _Grasp) -> Scene:
+    return Scene(task=task, start=grasp.start, goals=(Goal(position=_ORIGIN),))
+
+
+def _parsed(given: Any) -> Scene:
+    if isinstance(given, Scene):
+        return given
+    if isinstance(given, str | bytes):
+        return Scene.from_json(given)
+    if isinstance(given, Mapping):
+        return Scene.model_validate(given)
+    raise ValueError(
+        f"options['scene'] must be a Scene, a dict or JSON text, got {type(given).__name__}"
+    )
+
+
+def _checked_action(action: Any) -> FloatArray:
+    try:
+        checked = np.asarray(action, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"action must hold {ACTION_SIZE} numbers, got {action!r}") from None
+    if checked.shape != (ACTION_SIZE,):
+        raise ValueError(f"action must have shape ({ACTION_SIZE},), got {checked.shape}")
+    if not np.isfinite(checked).all():
+        raise ValueError(f"action must be finite, got {checked.tolist()}")
+    if np.abs(checked).max() > 1.0 + _ACTION_TOLERANCE:
+        raise ValueError(f"action must lie between -1 and 1, got {checked.tolist()}")
+    return np.clip(checked, -1.0, 1.0)
+
+
+def _previous_goals(info: Any, shape: tuple[int, ...]) -> FloatArray:
+    infos = [info] if isinstance(info, Mapping) else list(info)
+    try:
+        goals = np.array([entry["previous_achieved_goal"] for entry in infos], np.float64)
+        return goals.reshape(shape)
+    except (KeyError, ValueError):
+        raise ValueError(
+            "the dense reward is a difference of potentials and needs info with "
+            "'previous_achieved_goal' for each of the goals; with stable-baselines3's "
+            "HerReplayBuffer set copy_info_dict=True, or use the sparse reward"
+        ) from None

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from smp_gym import kinematics
 from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, LINKS
@@ -207,10 +208,19 @@ class Jaco:
                 physicsClientId=self._client,
             )
 
-    def set_finger_angle(self, angle: float) -> None:
-        """Put both proximal finger joints at an angle, rad, and straighten the tips."""
-        for joint, value in zip(self._fingers, (angle, angle, 0.0, 0.0), strict=True):
-            pybullet.resetJointState(self._body, joint, value, physicsClientId=self._client)
+    def carried(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where something fixed to the hand is.
+
+        Args:
+            pose: (4, 4) its pose in the end-effector frame.
+
+        Returns:
+            Position (3,) m and quaternion (4,) in the base frame.
+        """
+        state = self.state()
+        hand = Rotation.from_quat(state.end_effector_quaternion)
+        position = state.end_effector_position + hand.as_matrix() @ pose[:3, 3]
+        return position, (hand * Rotation.from_matrix(np.array(pose[:3, :3]))).as_quat()
 
     def state(self) -> RobotState:
         """Return the measured state."""

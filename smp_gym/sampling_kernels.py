@@ -18,8 +18,10 @@ __all__ = [
     "blocked_paths",
     "path_clearance",
     "point_distance",
+    "rasterised",
     "self_clearance",
     "sphere_paths",
+    "touched",
 ]
 
 OBSTACLE_COLUMNS = 9
@@ -146,9 +148,7 @@ def path_clearance(centers: Array, radius: Array, obstacles: Array, enough: floa
                 if far <= 0.0 or dx * dx + dy * dy + dz * dz > far * far:
                     continue
                 distance = (
-                    point_distance(
-                        centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
-                    )
+                    point_distance(centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle)
                     - radius[s]
                 )
                 least = min(least, distance)
@@ -174,9 +174,7 @@ def _blocked(centers: Array, radius: Array, step: float, obstacle: Array, depth:
             gap = math.sqrt(dx * dx + dy * dy + dz * dz) - bound - reach
             if gap <= 0.0:
                 gap = (
-                    point_distance(
-                        centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
-                    )
+                    point_distance(centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle)
                     - reach
                 )
                 if gap <= 0.0:
@@ -232,3 +230,105 @@ def self_clearance(centers: Array, radius: Array, pairs: NDArray[np.int64]) -> f
     return least
 
 
+@njit(cache=True)
+def rasterised(
+    centers: Array, radius: Array, origin: Array, spacing: float, shape: tuple[int, int, int]
+) -> NDArray[np.uint64]:
+    """Return which paths sweep over which points of a grid.
+
+    Args:
+        centers: (N, T, S, 3).
+        radius: (S,).
+        origin: (3,) first point of the grid.
+        spacing: between neighbouring points.
+        shape: (X, Y, Z) points along each axis.
+
+    Returns:
+        (X, Y, Z, ceil(N / 64)), a bit for each path: set where one of its spheres covers the point.
+        A sphere is drawn again only when it has moved by half the spacing.
+    """
+    count, samples, spheres, _ = centers.shape
+    grid = np.zeros((shape[0], shape[1], shape[2], (count + 63) // 64), np.uint64)
+    for n in range(count):
+        word = n // 64
+        bit = np.uint64(1) << np.uint64(n % 64)
+        for s in range(spheres):
+            reach = radius[s] / spacing
+            px = py = pz = np.inf
+            for t in range(samples):
+                x = (centers[n, t, s, 0] - origin[0]) / spacing
+                y = (centers[n, t, s, 1] - origin[1]) / spacing
+                z = (centers[n, t, s, 2] - origin[2]) / spacing
+                if (x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2 < 0.25:
+                    continue
+                px, py, pz = x, y, z
+                for i in range(max(0, math.ceil(x - reach)), min(shape[0], int(x + reach) + 1)):
+                    left = reach * reach - (i - x) ** 2
+                    if left < 0.0:
+                        continue
+                    wide = math.sqrt(left)
+                    for j in range(max(0, math.ceil(y - wide)), min(shape[1], int(y + wide) + 1)):
+                        rest = left - (j - y) ** 2
+                        if rest < 0.0:
+                            continue
+                        high = math.sqrt(rest)
+                        first = max(0, math.ceil(z - high))
+                        last = min(shape[2], int(z + high) + 1)
+                        for k in range(first, last):
+                            grid[i, j, k, word] |= bit
+    return grid
+
+
+@njit(cache=True)
+def touched(
+    grid: NDArray[np.uint64],
+    origin: Array,
+    spacing: float,
+    obstacles: Array,
+    distance: float,
+    count: int,
+) -> NDArray[np.bool_]:
+    """Return which of the paths in a grid come near which obstacles.
+
+    Args:
+        grid: (X, Y, Z, words), from `rasterised`.
+        origin: (3,) first point of the grid.
+        spacing: between neighbouring points.
+        obstacles: (M, 9) rows.
+        distance: of a covered point to the obstacle's surface at which its paths count; negative
+            for points inside.
+        count: paths in the grid.
+
+    Returns:
+        (M, count).
+    """
+    out = np.zeros((len(obstacles), count), np.bool_)
+    words = np.zeros(grid.shape[3], np.uint64)
+    low = np.zeros(3, np.int64)
+    high = np.zeros(3, np.int64)
+    for m in range(len(obstacles)):
+        obstacle = obstacles[m]
+        flat = max(obstacle[6], obstacle[7])
+        if obstacle[0] == _BOX:
+            flat = math.sqrt(obstacle[6] ** 2 + obstacle[7] ** 2)
+        for axis in range(3):
+            reach = (obstacle[8] if axis == 2 else flat) + distance
+            middle = obstacle[1 + axis] - origin[axis]
+            low[axis] = max(0, math.ceil((middle - reach) / spacing))
+            high[axis] = min(grid.shape[axis], int((middle + reach) / spacing) + 1)
+        words[:] = 0
+        for i in range(low[0], high[0]):
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    d = point_distance(
+                        origin[0] + i * spacing,
+                        origin[1] + j * spacing,
+                        origin[2] + k * spacing,
+                        obstacle,
+                    )
+                    if d <= distance:
+                        for w in range(len(words)):
+                            words[w] |= grid[i, j, k, w]
+        for n in range(count):
+            out[m, n] = (words[n // 64] >> np.uint64(n % 64)) & np.uint64(1)
+    return out

@@ -1,12 +1,16 @@
 """Scene sampling: (task, version, difficulty, seed) -> `Scene`, solvable by construction.
 
-A scene is drawn in four steps. The *goal* is drawn and a configuration above it is solved for. The
-*family* of the task, the demonstrations carried to that goal plus smooth random detours, is drawn
-from: these are the trajectories that a primitive fitted to the demonstrations would propose. One of
-them, free of table, bin and itself and quick enough, becomes the *witness*. *Obstacles* are then
-chosen greedily, each the one of many random candidates that blocks most of what is still free of the
-family while it leaves the witness its clearance. So the witness solves the scene, the
-demonstrations' mean does not, and few unadapted trajectories do.
+A scene is drawn in four steps:
+
+1. A *goal* is drawn, and a configuration over it is solved for.
+2. A *family* of trajectories is drawn: the demonstrations carried to that goal, their mean, and
+   carried demonstrations with smooth random detours. Those with detours of ordinary width are the
+   *proposals*, what a primitive fitted to the demonstrations would propose; wider ones join them as
+   possible *witnesses*.
+3. *Obstacles* are chosen from many random candidates, so that together they block the mean and as
+   many proposals as they can, while at least one member of the family keeps its clearance from all.
+4. That member, checked densely against table, bin, itself, joint and velocity limits, is the
+   witness: it solves the scene.
 
 No planner and no physics engine takes part. The witness is not part of the scene.
 """
@@ -16,7 +20,6 @@ from __future__ import annotations
 import functools
 import zlib
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +27,14 @@ from numpy.typing import NDArray
 from smp_gym import kinematics, sampling_kernels
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.scene import (
+    BIN_FLOOR_THICKNESS,
     BIN_HEIGHT,
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
     DIFFICULTIES,
     SHAPES,
     TASKS,
+    Configuration,
     Goal,
     ManipulatedObject,
     Obstacle,
@@ -41,6 +46,7 @@ from smp_gym.tasks import placement
 __all__ = ["SPECIFICATIONS", "DifficultySpecification", "sample_scene", "sample_with_witness"]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,8 @@ class DifficultySpecification:
     Attributes:
         obstacles: how many.
         clearance: m, what every obstacle leaves between itself and the witness's spheres.
-        free_share: share of the family that may stay free before another witness is tried.
+        free_share: share of the proposals that may stay free; where more do, the draw is repeated
+            a few times and the best kept.
     """
 
     obstacles: int
@@ -66,14 +73,21 @@ SPECIFICATIONS = {
 }
 """Difficulties by name."""
 
+_PLACEMENT = "Placement"
+
 _DETOUR_STD = 0.2
 _DETOUR_LENGTH = 0.2
 """Standard deviation (rad) and length scale (phase) of the detours, those of the primitive's smooth
 covariance: what it can propose is what has to be blocked."""
 
-_FAMILY_SIZE = 128
-_FAMILY_SAMPLES = 40
+_PROPOSALS = 152
+_WIDE = 96
+_WIDEST = 2.5
+"""Detours of ordinary width, and wider ones, up to so many times as wide."""
+
+_FAMILY_SAMPLES = 24
 _WITNESS_SAMPLES = 200
+
 _MAX_DURATION = 14.0
 """Seconds: longest witness, executed at constant speed of phase within the joint velocity limits."""
 
@@ -83,19 +97,37 @@ _LIMIT_MARGIN = 0.05
 """Witness: distance (m) to table and bin, to itself, and (rad) to the joint limits."""
 
 _START_CLEARANCE = 0.05
-_GOAL_CLEARANCE = 0.03
-"""Obstacles: distance (m) to the robot at the start, and sideways to the bin."""
+_BIN_CLEARANCE = 0.03
+_OVERLAP = 0.8
+"""Obstacles: distance (m) to the robot at the start, sideways to the bin, and how near their axes may
+come, as a share of the sum of their widths."""
 
 _BLOCKING_DEPTH = 0.015
 """Metres: how deep an obstacle reaches into the covering spheres before a path counts as blocked.
 The spheres stand out of the arm's shapes by about that much."""
 
 _HALF_EXTENTS = (0.03, 0.06)
-_CANDIDATES = 64
 _TABLE_SHARE = 0.35
 _SHAPE_SHARES = (0.5, 0.3, 0.2)
-_MAX_WITNESSES = 12
-_MAX_GOALS = 20
+"""Obstacles: range of half-extents (m), share that stands on the table, shares of `SHAPES`."""
+
+_CANDIDATES = 1200
+_PAIRED_CANDIDATES = 200
+
+_GRID_ORIGIN = np.array([-0.2, -0.9, 0.0])
+_GRID_SPACING = 0.03
+_GRID_SHAPE = (41, 61, 38)
+"""Grid of points (m) on which candidates are compared; it holds all that the arm can reach in front
+of it. What is chosen is checked without the grid."""
+
+_MAX_CHOICES = 8
+_MAX_DRAWS = 60
+_ENOUGH_DRAWS = 3
+
+
+def _configuration(q: FloatArray) -> Configuration:
+    a, b, c, d, e, f = q.tolist()
+    return a, b, c, d, e, f
 
 
 def _seed_sequence(task: str, difficulty: str, seed: int, version: int) -> np.random.SeedSequence:
@@ -155,12 +187,6 @@ def _resample(trajectories: FloatArray, samples: int) -> FloatArray:
     return trajectories[:, low] * (1.0 - part) + trajectories[:, low + 1] * part
 
 
-def _duration(trajectory: FloatArray) -> float:
-    """Return the shortest time of a (T, 6) trajectory at constant speed of phase, s."""
-    rate = np.abs(np.diff(trajectory, axis=0)).max(axis=0) * (len(trajectory) - 1)
-    return float((rate / kinematics.JOINT_VELOCITY).max())
-
-
 @dataclass(frozen=True, eq=False)
 class _Task:
     """What sampling needs to know of a task; built once per process.
@@ -199,7 +225,7 @@ class _Task:
 
 @functools.lru_cache(maxsize=1)
 def _placement() -> _Task:
-    demonstrations = Demonstrations.load("Placement")
+    demonstrations = Demonstrations.load(_PLACEMENT)
     spheres = kinematics.concatenate(
         kinematics.arm_spheres(),
         kinematics.finger_spheres(np.asarray(placement.GRASP_FINGER_ANGLES)),
@@ -224,12 +250,9 @@ def _placement() -> _Task:
     )
 
 
-def _draw_goal(task: _Task, rng: np.random.Generator) -> tuple[Goal, FloatArray]:
-    """Return a goal of the task's range and a configuration (6,) that holds the object over it."""
-    lower, upper = np.asarray(placement.BIN_LOWER), np.asarray(placement.BIN_UPPER)
-    position = rng.uniform(lower, upper)
-    goal = Goal(position=(float(position[0]), float(position[1]), float(position[2])))
-    return goal, _release_configuration(task, goal)
+def _draw_goal(rng: np.random.Generator) -> Goal:
+    x, y, z = rng.uniform(placement.BIN_LOWER, placement.BIN_UPPER)
+    return Goal(position=(float(x), float(y), float(z)))
 
 
 def _release_configuration(task: _Task, goal: Goal) -> FloatArray:
@@ -263,57 +286,116 @@ def _carry(task: _Task, goal: FloatArray, samples: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Trajectories that a primitive of the demonstrations proposes for one goal.
-
-    Member 0 is the mean of the carried demonstrations, then come these, then the detours.
+    """Trajectories for one goal: mean of the carried demonstrations, these, and their detours.
 
     Attributes:
-        carried: (N, W, 6) rad, the carried demonstrations at the witness's samples.
-        numbers: (M, F, 6) standard normal numbers of the detours.
+        configuration: (6,) rad, where all of them end.
         base: (M,) which demonstration each detour belongs to.
-        paths: (1 + N + M, T, S, 3) m, their moving spheres.
+        numbers: (M, F, 6) standard normal numbers, times the width, of the detours.
+        paths: (N, T, S, 3) m, centres of the moving spheres; N = 1 + demonstrations + M.
         radius: (S,) m.
-        steps: (1 + N + M,) m, longest way of any sphere between two samples.
-        free: (1 + N + M,) whether table and bin leave them free.
+        steps: (N,) m, longest way of any sphere between two samples.
+        proposals: how many, from the first, a primitive would propose.
+        free: (N,) whether table and bin leave a member free.
+        able: (N,) whether a member may serve as witness, as far as seen from these samples.
     """
 
-    carried: FloatArray
-    numbers: FloatArray
+    configuration: FloatArray
     base: NDArray[np.int64]
+    numbers: FloatArray
     paths: FloatArray
     radius: FloatArray
     steps: FloatArray
-    free: NDArray[np.bool_]
-
-    def member(self, index: int) -> FloatArray:
-        """Return detour `index` at the witness's samples, (W, 6) rad."""
-        detour = _detours(self.numbers[index : index + 1], self.carried.shape[1])[0]
-        return self.carried[self.base[index]] + detour
+    proposals: int
+    free: BoolArray
+    able: BoolArray
 
 
 def _draw_family(
-    task: _Task, goal: FloatArray, bodies: FloatArray, rng: np.random.Generator
+    task: _Task, goal: Goal, configuration: FloatArray, rng: np.random.Generator
 ) -> _Family:
-    features = _detour_basis(_FAMILY_SAMPLES).shape[1]
-    base = rng.integers(len(task.demonstrations), size=_FAMILY_SIZE)
-    numbers = rng.standard_normal((_FAMILY_SIZE, features, len(goal)))
-    few = _carry(task, goal, _FAMILY_SAMPLES)
+    demonstrations = len(task.demonstrations)
+    detours = _PROPOSALS + _WIDE
+    base = rng.integers(demonstrations, size=detours)
+    numbers = rng.standard_normal((detours, _detour_basis(_FAMILY_SAMPLES).shape[1], 6))
+    numbers[_PROPOSALS:] *= rng.uniform(1.0, _WIDEST, size=(_WIDE, 1, 1))
+    carried = _carry(task, configuration, _FAMILY_SAMPLES)
+    mean = carried.mean(axis=0, keepdims=True)
     trajectories = np.concatenate(
-        [few.mean(axis=0, keepdims=True), few, few[base] + _detours(numbers, _FAMILY_SAMPLES)]
+        [mean, carried, carried[base] + _detours(numbers, _FAMILY_SAMPLES)]
     )
     paths = task.paths(trajectories, task.moving)
     radius = task.spheres.radius[task.moving]
     steps = np.sqrt((np.diff(paths, axis=1) ** 2).sum(axis=-1)).max(axis=(1, 2)) + 1e-9
-    hit = sampling_kernels.blocked_paths(paths, radius, steps, bodies, _BLOCKING_DEPTH)
+    height = (paths[..., 2] - radius).min(axis=(1, 2))
+    # The bin counts as solid here: its thin walls would fall through the grid.
+    box = np.array([_solid_bin(goal)])
+
+    def clear(distance: float) -> BoolArray:
+        hit = sampling_kernels.blocked_paths(paths, radius, steps, box, -distance)[0]
+        return ~hit & (height > distance)
+
     return _Family(
-        carried=_carry(task, goal, _WITNESS_SAMPLES),
-        numbers=numbers,
+        configuration=configuration,
         base=base,
+        numbers=numbers,
         paths=paths,
         radius=radius,
         steps=steps,
-        free=~hit.any(axis=0),
+        proposals=1 + demonstrations + _PROPOSALS,
+        free=clear(-_BLOCKING_DEPTH),
+        able=clear(_FIXTURE_CLEARANCE) & _within_limits(trajectories),
     )
+
+
+def _member(task: _Task, family: _Family, index: int) -> FloatArray:
+    """Return member `index` of a family, (W, 6) rad, at the samples of a witness."""
+    carried = _carry(task, family.configuration, _WITNESS_SAMPLES)
+    if index == 0:
+        mean: FloatArray = carried.mean(axis=0)
+        return mean
+    if index <= len(carried):
+        return carried[index - 1]
+    detour = index - 1 - len(carried)
+    numbers = family.numbers[detour : detour + 1]
+    return carried[family.base[detour]] + _detours(numbers, _WITNESS_SAMPLES)[0]
+
+
+def _within_limits(trajectories: FloatArray) -> BoolArray:
+    """Return which of (..., T, 6) trajectories keep the joint limits and are quick enough."""
+    low = kinematics.JOINT_LOWER + _LIMIT_MARGIN
+    high = kinematics.JOINT_UPPER - _LIMIT_MARGIN
+    inside = ((trajectories > low) & (trajectories < high)).all(axis=(-2, -1))
+    rate = np.abs(np.diff(trajectories, axis=-2)).max(axis=-2) * (trajectories.shape[-2] - 1)
+    duration = (rate / kinematics.JOINT_VELOCITY).max(axis=-1)
+    quick: BoolArray = inside & (duration <= _MAX_DURATION)
+    return quick
+
+
+def _is_witness(
+    task: _Task, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
+) -> bool:
+    """Return whether a (W, 6) trajectory solves a scene: obstacles in `rows`, fixtures in `bodies`."""
+    if not _within_limits(trajectory):
+        return False
+    path = task.paths(trajectory)
+    radius = task.spheres.radius
+    if sampling_kernels.path_clearance(path, radius, rows, 1.0) < clearance:
+        return False
+    # The arm's base stands on the table: only the moving spheres have to keep clear of it.
+    moving = np.ascontiguousarray(path[:, task.moving])
+    margin = sampling_kernels.path_clearance(moving, radius[task.moving], bodies, 1.0)
+    if margin < _FIXTURE_CLEARANCE:
+        return False
+    return bool(sampling_kernels.self_clearance(path, radius, task.pairs) >= _SELF_CLEARANCE)
+
+
+def _solid_bin(goal: Goal) -> list[float]:
+    half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS
+    height = (BIN_HEIGHT + BIN_FLOOR_THICKNESS) / 2
+    x, y, z = goal.position
+    middle = z - BIN_FLOOR_THICKNESS + height
+    return _row(Obstacle(shape="box", position=(x, y, middle), size=(half, half, height)))
 
 
 def _row(obstacle: Obstacle) -> list[float]:
@@ -339,40 +421,30 @@ def _obstacle(row: FloatArray) -> Obstacle:
     )
 
 
-def _witness_path(
-    task: _Task, trajectory: FloatArray, bodies: FloatArray
-) -> FloatArray | None:
-    """Return the (W, S, 3) path of all spheres of a good witness, or None if it is not good."""
-    low = kinematics.JOINT_LOWER + _LIMIT_MARGIN
-    high = kinematics.JOINT_UPPER - _LIMIT_MARGIN
-    if (trajectory < low).any() or (trajectory > high).any():
-        return None
-    if _duration(trajectory) > _MAX_DURATION:
-        return None
-    path = task.paths(trajectory[None])[0]
-    moving = np.ascontiguousarray(path[:, task.moving])
-    radius = task.spheres.radius[task.moving]
-    enough = 2.0 * _FIXTURE_CLEARANCE
-    if sampling_kernels.path_clearance(moving, radius, bodies, enough) < _FIXTURE_CLEARANCE:
-        return None
-    if sampling_kernels.self_clearance(path, task.spheres.radius, task.pairs) < _SELF_CLEARANCE:
-        return None
-    return path
+def _widths(rows: FloatArray) -> FloatArray:
+    """Return the (C,) horizontal radius of obstacles, m."""
+    widths: FloatArray = np.where(
+        rows[:, 0] == SHAPES.index("box"), np.hypot(rows[:, 6], rows[:, 7]), rows[:, 6]
+    )
+    return widths
 
 
-def _candidates(
-    family: _Family, free: NDArray[np.bool_], rng: np.random.Generator
+def _draw_candidates(
+    task: _Task, family: _Family, goal: Goal, rng: np.random.Generator
 ) -> FloatArray:
-    """Return (_CANDIDATES, 9) rows of obstacles near the paths of members that are still free."""
+    """Return rows of obstacles near the paths of free proposals, clear of table, bin and start."""
     count = _CANDIDATES
-    pool = np.flatnonzero(free) if free.any() else np.arange(len(free))
+    pool = np.flatnonzero(family.free[: family.proposals])
+    if not len(pool):
+        return np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
     sample = rng.integers(_FAMILY_SAMPLES, size=count)
-    sphere = rng.integers(family.paths.shape[2], size=count)
+    sphere = rng.integers(len(family.radius), size=count)
     shape = rng.choice(len(SHAPES), size=count, p=_SHAPE_SHARES)
     size = rng.uniform(*_HALF_EXTENTS, size=(count, 3))
-    size[shape > 0, 1] = size[shape > 0, 0]
-    size[shape == 2, 2] = size[shape == 2, 0]
+    box, ball = SHAPES.index("box"), SHAPES.index("sphere")
+    size[shape != box, 1] = size[shape != box, 0]
+    size[shape == ball, 2] = size[shape == ball, 0]
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     offset = rng.standard_normal((count, 3))
     offset *= rng.uniform(size=(count, 1)) / np.sqrt((offset**2).sum(axis=1, keepdims=True))
@@ -380,71 +452,133 @@ def _candidates(
     position = family.paths[member, sample, sphere] + offset * reach[:, None]
     on_table = rng.uniform(size=count) < _TABLE_SHARE
     position[:, 2] = np.where(on_table, size[:, 2], position[:, 2])
-    return np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
+    rows = np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
 
-
-def _admissible(
-    rows: FloatArray,
-    placed: list[FloatArray],
-    task: _Task,
-    goal: Goal,
-    start: FloatArray,
-    witness: FloatArray,
-    clearance: float,
-) -> NDArray[np.bool_]:
-    """Return which obstacles (C, 9) leave table, bin, each other, start and witness free."""
-    half, position = rows[:, 6:9], rows[:, 1:4]
-    width = np.where(rows[:, 0] == 0, np.hypot(half[:, 0], half[:, 1]), half[:, 0])
-    good: NDArray[np.bool_] = position[:, 2] >= half[:, 2]
-    bin_half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS
+    half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS + _BIN_CLEARANCE
     aside = np.abs(position[:, :2] - np.asarray(goal.position[:2])).max(axis=1)
-    good &= aside >= bin_half + width + _GOAL_CLEARANCE
-    for other in placed:
-        other_width = np.hypot(other[6], other[7]) if other[0] == 0 else other[6]
-        apart = np.hypot(position[:, 0] - other[1], position[:, 1] - other[2]) >= 0.8 * (
-            width + other_width
-        )
-        good &= apart | (np.abs(position[:, 2] - other[3]) >= half[:, 2] + other[8])
-    radius = task.spheres.radius
-    for c in np.flatnonzero(good):
-        row = rows[c : c + 1]
-        good[c] = (
-            sampling_kernels.path_clearance(start, radius, row, 1.0) >= _START_CLEARANCE
-            and sampling_kernels.path_clearance(witness, radius, row, 1.0) >= clearance
-        )
-    return good
+    rows = rows[(position[:, 2] >= size[:, 2]) & (aside >= half + _widths(rows))]
+    start, radius = task.paths(task.start[None]), task.spheres.radius
+    clear = [
+        sampling_kernels.path_clearance(start, radius, rows[c : c + 1], 1.0) >= _START_CLEARANCE
+        for c in range(len(rows))
+    ]
+    return rows[np.array(clear, bool)]
 
 
-def _place_obstacles(
-    task: _Task,
-    family: _Family,
-    goal: Goal,
-    witness: FloatArray,
-    specification: DifficultySpecification,
-    rng: np.random.Generator,
-) -> tuple[list[FloatArray], NDArray[np.bool_]]:
-    """Return the rows of obstacles and which members of the family they leave free."""
-    start = task.paths(task.start[None, None])[0]
-    free = family.free.copy()
-    free[0] = True
-    placed: list[FloatArray] = []
-    for _ in range(specification.obstacles):
-        rows = _candidates(family, free, rng)
-        good = _admissible(rows, placed, task, goal, start, witness, specification.clearance)
-        rows = rows[good]
-        if not len(rows):
-            continue
-        members = np.flatnonzero(free)
-        blocked = sampling_kernels.blocked_paths(
-            family.paths[members], family.radius, family.steps[members], rows, _BLOCKING_DEPTH
-        )
-        worth = blocked.sum(axis=1)
-        if free[0]:
-            worth = worth + len(free) * blocked[:, 0]
+def _apart(rows: FloatArray, others: FloatArray) -> BoolArray:
+    """Return (A, B), which obstacles stand beside or over which others."""
+    reach = _OVERLAP * (_widths(rows)[:, None] + _widths(others))
+    distance = np.hypot(rows[:, None, 1] - others[:, 1], rows[:, None, 2] - others[:, 2])
+    height = np.abs(rows[:, None, 3] - others[:, 3])
+    beside: BoolArray = (distance >= reach) | (height >= rows[:, None, 8] + others[:, 8])
+    return beside
+
+
+def _choose(rows: FloatArray, blocks: BoolArray, clears: BoolArray, count: int) -> list[int] | None:
+    """Choose obstacles that block most and leave somebody clear.
+
+    The first two are the best of all pairs of the most blocking candidates; each further one adds
+    most. A proposal that is blocked already still counts a little, so that its neighbours, which
+    were not drawn, are blocked too.
+
+    Args:
+        rows: (C, 9) candidates.
+        blocks: (C, P), which proposals each blocks; proposal 0, the mean, must be blocked.
+        clears: (C, N), from which possible witnesses each keeps its clearance.
+        count: how many to choose: 0, or 2 and more.
+
+    Returns:
+        Indices of the chosen; None if nobody would be left clear.
+    """
+    if count == 0:
+        return []
+    strongest = np.argsort(-blocks.sum(axis=1), kind="stable")[:_PAIRED_CANDIDATES]
+    some, clear = blocks[strongest].astype(np.float32), clears[strongest].astype(np.float32)
+    alone = some.sum(axis=1)
+    both = alone[:, None] + alone - some @ some.T
+    allowed = (clear @ clear.T > 0) & _apart(rows[strongest], rows[strongest])
+    allowed &= blocks[strongest, :1] | blocks[strongest, 0]
+    worth = np.where(allowed, both, -1.0)
+    first, second = np.unravel_index(np.argmax(worth), worth.shape)
+    if worth[first, second] < 0:
+        return None
+    chosen = [int(strongest[first]), int(strongest[second])]
+    while len(chosen) < count:
+        alive = clears[chosen].all(axis=0)
+        weight = 0.1 ** blocks[chosen].sum(axis=0)
+        allowed = (clears & alive).any(axis=1) & _apart(rows, rows[chosen]).all(axis=1)
+        worth = np.where(allowed, (blocks * weight).sum(axis=1), -1.0)
         best = int(np.argmax(worth))
-        placed.append(rows[best])
-        free[members[blocked[best]]] = False
-    return placed, free
+        if worth[best] < 0:
+            return None
+        chosen.append(best)
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _Draw:
+    """One draw: goal, (M, 9) rows of obstacles, (W, 6) witness, share of proposals left free."""
+
+    goal: Goal
+    rows: FloatArray
+    witness: FloatArray
+    free_share: float
+
+
+def _draw(
+    task: _Task, specification: DifficultySpecification, rng: np.random.Generator
+) -> _Draw | None:
+    """Draw a goal, obstacles and a witness; None if they do not fit together."""
+    goal = _draw_goal(rng)
+    try:
+        configuration = _release_configuration(task, goal)
+    except kinematics.UnreachableError:
+        return None
+    family = _draw_family(task, goal, configuration, rng)
+    bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=(goal,))
+    bodies = np.array([_row(body) for body in fixtures(bare)])
+    proposed = family.free[: family.proposals]
+    if specification.obstacles:
+        rows = _draw_candidates(task, family, goal, rng)
+        grid = sampling_kernels.rasterised(
+            family.paths, family.radius, _GRID_ORIGIN, _GRID_SPACING, _GRID_SHAPE
+        )
+
+        def near(distance: float) -> BoolArray:
+            return sampling_kernels.touched(
+                grid, _GRID_ORIGIN, _GRID_SPACING, rows, distance, len(family.paths)
+            )
+
+        blocks = near(-_BLOCKING_DEPTH)[:, : family.proposals] & proposed
+        clears = ~near(specification.clearance + _GRID_SPACING / 4) & family.able
+    else:
+        rows = np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
+        blocks, clears = (
+            np.empty((0, family.proposals), bool),
+            np.empty((0, len(family.able)), bool),
+        )
+    able = family.able.copy()
+    for _ in range(_MAX_CHOICES):
+        choice = _choose(rows, blocks, clears & able, specification.obstacles)
+        if choice is None:
+            return None
+        alive = able & clears[choice].all(axis=0)
+        for index in np.flatnonzero(alive):
+            witness = _member(task, family, int(index))
+            if _is_witness(task, witness, bodies, rows[choice], specification.clearance):
+                blocked = sampling_kernels.blocked_paths(
+                    family.paths[: family.proposals],
+                    family.radius,
+                    family.steps,
+                    rows[choice],
+                    _BLOCKING_DEPTH,
+                ).any(axis=0)
+                if specification.obstacles and not blocked[0]:
+                    return None
+                free = float((proposed & ~blocked).sum() / proposed.sum())
+                return _Draw(goal, rows[choice], witness, free)
+        able &= ~alive
+    return None
 
 
 def sample_with_witness(
@@ -464,69 +598,39 @@ def sample_with_witness(
         the release, within joint limits, executable in 14 s within the velocity limits.
 
     Raises:
-        ValueError: no such task or difficulty, or a negative seed.
+        ValueError: no such task or difficulty, or a negative seed or version.
     """
     if task not in TASKS:
         raise ValueError(f"task must be one of {', '.join(TASKS)}; got {task!r}")
     if difficulty not in SPECIFICATIONS:
         raise ValueError(f"difficulty must be one of {', '.join(DIFFICULTIES)}; got {difficulty!r}")
-    if seed < 0:
-        raise ValueError(f"seed must not be negative, got {seed}")
+    if seed < 0 or version < 0:
+        raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
     specification = SPECIFICATIONS[difficulty]
     rng = np.random.Generator(np.random.PCG64(_seed_sequence(task, difficulty, seed, version)))
     data = _placement()
-    for _ in range(_MAX_GOALS):
-        found = _attempt(data, specification, rng)
-        if found is not None:
+    best: _Draw | None = None
+    for draw in range(_MAX_DRAWS):
+        new = _draw(data, specification, rng)
+        if new is not None and (best is None or new.free_share < best.free_share):
+            best = new
+        if best is not None and (
+            best.free_share <= specification.free_share or draw + 1 >= _ENOUGH_DRAWS
+        ):
             break
-    else:
+    if best is None:
         raise RuntimeError(f"no solvable scene found for {task}, {difficulty}, seed {seed}")
-    goal, rows, witness = found
     scene = Scene(
         task=task,
         version=version,
         difficulty=difficulty,  # type: ignore[arg-type]
         seed=seed,
-        start=tuple(float(q) for q in data.start),  # type: ignore[arg-type]
+        start=_configuration(data.start),
         manipulated=ManipulatedObject(),
-        goals=(goal,),
-        obstacles=tuple(_obstacle(row) for row in rows),
+        goals=(best.goal,),
+        obstacles=tuple(_obstacle(row) for row in best.rows),
     )
-    return scene, witness
-
-
-def _attempt(
-    task: _Task, specification: DifficultySpecification, rng: np.random.Generator
-) -> tuple[Goal, list[FloatArray], FloatArray] | None:
-    """Draw one goal and obstacles for it; None where no witness of the family serves."""
-    try:
-        goal, configuration = _draw_goal(task, rng)
-    except kinematics.UnreachableError:
-        return None
-    bare = Scene(task="Placement", start=tuple(task.start.tolist()), goals=(goal,))
-    bodies = np.array([_row(body) for body in fixtures(bare)])
-    family = _draw_family(task, configuration, bodies, rng)
-    offset = 1 + len(task.demonstrations)
-    tried = 0
-    best: tuple[int, list[FloatArray], FloatArray] | None = None
-    for index in np.flatnonzero(family.free[offset:]):
-        witness = family.member(int(index))
-        path = _witness_path(task, witness, bodies)
-        if path is None:
-            continue
-        placed, free = _place_obstacles(task, family, goal, path, specification, rng)
-        tried += 1
-        complete = len(placed) == specification.obstacles and (
-            not free[0] or not specification.obstacles
-        )
-        left = int(free.sum())
-        if complete and (best is None or left < best[0]):
-            best = (left, placed, witness)
-            if left <= specification.free_share * family.free.sum():
-                break
-        if tried == _MAX_WITNESSES:
-            break
-    return None if best is None else (goal, best[1], best[2])
+    return scene, best.witness
 
 
 def sample_scene(task: str, difficulty: str, seed: int, version: int = 0) -> Scene:
@@ -539,7 +643,7 @@ def sample_scene(task: str, difficulty: str, seed: int, version: int = 0) -> Sce
         version: version of the task's scene distribution.
 
     Raises:
-        ValueError: no such task or difficulty, or a negative seed.
+        ValueError: no such task or difficulty, or a negative seed or version.
     """
     scene, _ = sample_with_witness(task, difficulty, seed, version)
     return scene

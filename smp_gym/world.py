@@ -1,6 +1,6 @@
 """One physics world: named bodies, contacts, clearances, snapshots and cameras.
 
-Everything that speaks to PyBullet speaks through a `BulletWorld` or through the arm that lives in it.
+Everything that speaks to PyBullet does so through a `BulletWorld` or the arm that lives in it.
 Bodies and links are called by name; a contact is a pair of names.
 """
 
@@ -46,7 +46,9 @@ OBSTACLE_COLORS: tuple[Color, ...] = (
 
 _PARKING = (0.0, 0.0, -20.0)
 _PARKED_RADIUS = 0.01
-_SKY_COLOR = "--background_color_red=0.93 --background_color_green=0.95 --background_color_blue=0.97"
+_SKY_COLOR = (
+    "--background_color_red=0.93 --background_color_green=0.95 --background_color_blue=0.97"
+)
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,7 @@ def _connect(gui: bool) -> int:
         )
     client = int(pybullet.connect(pybullet.GUI, options=_SKY_COLOR))
     if client < 0:
-        raise RuntimeError(
-            "PyBullet could not open its window; it allows one window per process"
-        )
+        raise RuntimeError("PyBullet could not open its window; it allows one window per process")
     pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
     return client
 
@@ -94,9 +94,9 @@ def _connect(gui: bool) -> int:
 class BulletWorld:
     """A physics world of its own, independent of any other in the process.
 
-    What happens in it is a function of the calls made since `clear`: bit for bit the same in another
-    process, and after `restore` whatever happened in between. Bodies of varying shape are therefore
-    confined to a pool of obstacles whose size never changes (`set_obstacles`).
+    What happens in it is a function of the calls made since `clear`: bit for bit the same in
+    another process, and after `restore` whatever happened in between. Bodies of varying shape are
+    therefore confined to a pool of obstacles whose size never changes (`set_obstacles`).
 
     Args:
         gui: open PyBullet's window instead of computing without one.
@@ -124,8 +124,6 @@ class BulletWorld:
         self._parts: dict[tuple[int, int], str] = {}
         self._pairs: dict[tuple[int, int, int, int], Contact] = {}
         self._obstacles: list[str] = []
-        for slot in range(MAX_OBSTACLES):
-            self._park(slot)
 
     def set_gravity(self, on: bool) -> None:
         """Switch gravity on or off."""
@@ -171,6 +169,10 @@ class BulletWorld:
             baseOrientation=quaternion,
             physicsClientId=self.client,
         )
+        # Nothing here moves fast enough for air to matter.
+        pybullet.changeDynamics(
+            body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client
+        )
         self._name(name, int(body))
 
     def load_urdf(self, name: str, path: Path, flags: int = 0) -> int:
@@ -191,6 +193,15 @@ class BulletWorld:
             info = pybullet.getJointInfo(body, joint, physicsClientId=self.client)
             self._parts[body, joint] = info[12].decode()
         return body
+
+    def reserve_obstacles(self) -> None:
+        """Make the pool of `MAX_OBSTACLES` obstacles, all out of the way; call it last.
+
+        Removing a body moves the engine's last body into the gap, and a snapshot knows bodies by
+        their order only: what is exchanged must stand behind all that stays.
+        """
+        for slot in range(MAX_OBSTACLES):
+            self._park(slot)
 
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
         """Replace all obstacles; they are called ``obstacle_0``, ``obstacle_1``, ….
@@ -220,6 +231,11 @@ class BulletWorld:
                 self._obstacles.append(name)
             else:
                 self._park(slot)
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Names of the obstacles in the world."""
+        return tuple(self._obstacles)
 
     def body(self, name: str) -> int:
         """Return PyBullet's number of a body."""

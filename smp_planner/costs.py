@@ -18,9 +18,8 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
-from smp_planner import kernels
+from smp_planner import compiled
 from smp_planner.occupancy.grid import DistanceGrid
 from smp_planner.problem import GoalRegion
 from smp_planner.robot_model import RobotModel
@@ -76,9 +75,15 @@ def check_trajectories(trajectories: ArrayLike, joints: int | None = None) -> Fl
     if not np.isfinite(array).all():
         p, t, j = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(
-            f"trajectories must be finite, got {array[p, t, j]} in particle {p}, step {t}, joint {j}"
+            f"trajectories must be finite, got {array[p, t, j]} in particle {p}, step {t}, "
+            f"joint {j}"
         )
     return array
+
+
+def _steps_last(trajectories: FloatArray) -> FloatArray:
+    """Return (P,n,T), as the kernels want it."""
+    return np.ascontiguousarray(trajectories.swapaxes(1, 2))
 
 
 def _positive(name: str, value: float) -> float:
@@ -90,14 +95,14 @@ def _positive(name: str, value: float) -> float:
 def _scales(name: str, value: ArrayLike, size: int) -> FloatArray:
     array = np.asarray(value, np.float64)
     if array.shape not in ((), (size,)) or not (np.isfinite(array) & (array > 0.0)).all():
-        raise ValueError(f"{name} must be a positive number or {size} of them, got {value}")
+        raise ValueError(f"{name} must be a positive number or {size} of them, got {value!r}")
     return np.broadcast_to(array, (size,))
 
 
 def _steps(steps: ArrayLike) -> NDArray[np.int64]:
     array = np.atleast_1d(np.asarray(steps))
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or not len(array):
-        raise ValueError(f"steps must be one or more integers, got {steps}")
+        raise ValueError(f"steps must be one or more integers, got {steps!r}")
     return array.astype(np.int64)
 
 
@@ -122,7 +127,8 @@ def _points(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
 def _scatter(shape: tuple[int, ...], steps: NDArray[np.int64], parts: FloatArray) -> FloatArray:
     """Return zeros (P,T,n) with parts (P,H,n) added at steps (H,), of which some may be equal."""
     gradient = np.zeros(shape)
-    np.add.at(gradient, (slice(None), steps), parts)
+    for h, step in enumerate(steps):
+        gradient[:, step] += parts[:, h]
     return gradient
 
 
@@ -130,10 +136,10 @@ def _scatter(shape: tuple[int, ...], steps: NDArray[np.int64], parts: FloatArray
 class CollisionCost:
     """Squared occupancy of the link spheres, Eq. (12).
 
-    The map is asked at every sphere that moves: p = sigma(-(d - r - margin) / edge_width) with d the
-    distance of the centre to the nearest obstacle and r the radius. Summed is p^2 less the value that
-    it has where the map is cut off or `REACH` edge widths away, whichever is nearer: so that a sphere
-    far from everything costs exactly nothing, and nothing is computed for it.
+    The map is asked at every sphere that moves: p = sigma(-(d - r - margin) / edge_width) with d
+    the distance of the centre to the nearest obstacle and r the radius. Summed is p^2 less the
+    value that it has where the map is cut off or `REACH` edge widths away, whichever is nearer: a
+    sphere far from everything costs exactly nothing, and nothing is computed for it.
 
     Attributes:
         robot: the arm and what it carries; spheres on link 0 do not move and are left out.
@@ -149,7 +155,7 @@ class CollisionCost:
 
     @cached_property
     def _blocks(self) -> NDArray[np.float32]:
-        return kernels.least_of_blocks(self.grid.values)
+        return compiled.least_of_blocks(self.grid.values)
 
     @property
     def summed_spheres(self) -> int:
@@ -175,10 +181,9 @@ class CollisionCost:
             raise ValueError(f"margin must be finite, got {margin}")
         robot, grid = self.robot, self.grid
         limit = np.minimum(robot.radius + margin + REACH * width, self._truncation)
-        value, gradient = np.empty(len(q)), np.empty(q.shape)
-        kernels.map_collision(
-            np.cos(q),
-            np.sin(q),
+        value, gradient = np.empty(len(q)), np.empty((len(q), robot.joints, q.shape[1]))
+        compiled.map_collision(
+            _steps_last(q),
             robot.base,
             robot.joint_origins,
             robot.link,
@@ -195,9 +200,7 @@ class CollisionCost:
             gradient,
         )
         scale = REFERENCE_STEPS / q.shape[1]
-        value *= scale
-        gradient *= scale
-        return value, gradient
+        return scale * value, scale * np.ascontiguousarray(gradient.swapaxes(1, 2))
 
 
 @dataclass(frozen=True)
@@ -219,17 +222,19 @@ class SelfCollisionCost:
 
     def __post_init__(self) -> None:
         _positive("edge_width", self.edge_width)
-        if not math.isfinite(self.margin):
-            raise ValueError(f"margin must be finite, got {self.margin}")
+        if not (math.isfinite(self.margin) and self.margin > -REACH * self.edge_width):
+            raise ValueError(
+                f"margin must be above {-REACH * self.edge_width} (minus {REACH} edge widths), "
+                f"got {self.margin}"
+            )
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
         q = check_trajectories(trajectories, self.robot.joints)
         robot, pairs = self.robot, self.robot.link_pairs
-        value, gradient = np.empty(len(q)), np.empty(q.shape)
-        kernels.self_collision(
-            np.cos(q),
-            np.sin(q),
+        value, gradient = np.empty(len(q)), np.empty((len(q), robot.joints, q.shape[1]))
+        compiled.self_collision(
+            _steps_last(q),
             robot.base,
             robot.joint_origins,
             robot.link,
@@ -247,9 +252,7 @@ class SelfCollisionCost:
             gradient,
         )
         scale = REFERENCE_STEPS / q.shape[1]
-        value *= scale
-        gradient *= scale
-        return value, gradient
+        return scale * value, scale * np.ascontiguousarray(gradient.swapaxes(1, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +293,7 @@ class JointLimitCost:
 def _velocities(velocity: ArrayLike) -> FloatArray:
     array = np.asarray(velocity, np.float64)
     if array.ndim != 1 or not (np.isfinite(array) & (array > 0.0)).all():
-        raise ValueError(f"velocity must be (n,) positive numbers, got {velocity}")
+        raise ValueError(f"velocity must be (n,) positive numbers, got {velocity!r}")
     return array
 
 
@@ -348,8 +351,8 @@ class DurationCost:
     """Squared relative excess of the shortest duration over a limit.
 
     The duration is that of `verification.minimum_duration`: each segment takes as long as its
-    slowest joint needs. It is what makes a plan executable, while `VelocityLimitCost` asks for more:
-    an even phase.
+    slowest joint needs. It is what makes a plan executable, while `VelocityLimitCost` asks for
+    more: an even phase.
 
     Attributes:
         velocity: (n,) rad/s.
@@ -527,8 +530,10 @@ class GoalCost:
             terms.append(-0.5 * np.square(error).sum(axis=1))
             slopes.append(np.einsum("pi,pij->pj", error / self.sigma, jacobians))
         joint = np.stack(terms, axis=1) + self._log_shares
-        total = logsumexp(joint, axis=1)
-        membership = np.exp(joint - total[:, None])
+        largest = joint.max(axis=1, keepdims=True)
+        membership = np.exp(joint - largest)
+        total = membership.sum(axis=1, keepdims=True)
+        membership /= total
         gradient = np.zeros(q.shape)
         gradient[:, -1] = np.einsum("ph,hpj->pj", membership, np.stack(slopes))
-        return -total, gradient
+        return -(largest + np.log(total))[:, 0], gradient

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smp_gym import kinematics
 from smp_gym.kinematics import SphereSet
-from smp_planner import kernels
+from smp_planner import compiled
 
 __all__ = ["LinkPairs", "RobotModel", "jaco_model"]
 
@@ -54,8 +54,8 @@ class RobotModel:
 
     Attributes:
         base: (4,4) pose of link 0 in the base frame.
-        joint_origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero; the joint turns
-            about that frame's z, and the turned frame is link i + 1.
+        joint_origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero; the joint
+            turns about that frame's z, and the turned frame is link i + 1.
         end_effector: (4,4) end-effector frame in the last link.
         lower: (n,) rad, joint limits.
         upper: (n,) rad.
@@ -92,6 +92,8 @@ class RobotModel:
         link = self.link
         if len(link) and not (link.min() >= 0 and link.max() <= n):
             raise ValueError(f"spheres must be on links 0 to {n}, got {link.min()} to {link.max()}")
+        if (self.radius < 0).any():
+            raise ValueError(f"spheres.radius must not be negative, got {self.radius.min()}")
         pairs = np.ascontiguousarray(self.collision_pairs, np.int64).reshape(-1, 2)
         if len(pairs) and not (pairs.min() >= 0 and pairs.max() < len(link)):
             raise ValueError(
@@ -140,9 +142,7 @@ class RobotModel:
         pairs = np.where(swap[:, None], self.collision_pairs[:, ::-1], self.collision_pairs)
         links = self.link[pairs].reshape(-1, 2)
         order = np.lexsort((links[:, 1], links[:, 0]))
-        names, first, sizes = np.unique(
-            links[order], axis=0, return_index=True, return_counts=True
-        )
+        names, first, sizes = np.unique(links[order], axis=0, return_index=True, return_counts=True)
         return LinkPairs(
             pairs=np.ascontiguousarray(pairs[order]),
             groups=np.column_stack([names, first]).astype(np.int64).reshape(-1, 3),
@@ -177,25 +177,29 @@ class RobotModel:
         if q.ndim == 0 or q.shape[-1] != self.joints:
             raise ValueError(f"configurations must have shape (..., {self.joints}), got {q.shape}")
         _finite("configurations", q, q.shape)
-        flat = q.reshape(-1, self.joints)
-        points = np.empty((len(flat), 3))
-        jacobians = np.empty((len(flat), 3, self.joints))
-        kernels.carried_points(
-            np.cos(flat),
-            np.sin(flat),
+        angles = np.ascontiguousarray(q.reshape(-1, self.joints).T)
+        placed = np.empty((1, 3, angles.shape[1]))
+        jacobians = np.empty((3, self.joints, angles.shape[1]))
+        compiled.carried_points(
+            angles,
             self.base,
             self.joint_origins,
-            self.carried(point),
-            points,
+            np.array([self.joints]),
+            self.carried(point)[None],
+            placed,
             jacobians,
         )
-        return points.reshape(*q.shape[:-1], 3), jacobians.reshape(*q.shape[:-1], 3, self.joints)
+        batch = q.shape[:-1]
+        return (
+            placed[0].T.reshape(*batch, 3),
+            np.moveaxis(jacobians, 2, 0).reshape(*batch, 3, self.joints),
+        )
 
     def link_transforms(self, configurations: torch.Tensor) -> torch.Tensor:
         """Return the poses (..., n + 1, 4, 4) of all links, differentiable by autograd.
 
-        The slow and plain way through the chain, in the dtype and on the device of the argument: the
-        oracle of the compiled kernels.
+        The slow and plain way through the chain, in the dtype and on the device of the argument:
+        the oracle of the compiled kernels.
 
         Args:
             configurations: (..., n) rad.

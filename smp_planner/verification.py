@@ -7,6 +7,8 @@ where that does not settle the matter, the segment is halved. So the result hold
 only for samples of it.
 """
 
+# mypy: disable-error-code="no-untyped-def"
+
 from __future__ import annotations
 
 import math
@@ -19,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.scene import Obstacle
 from smp_planner.costs import EXECUTABLE_FRACTION, check_trajectories
-from smp_planner.kernels import FAST, chain, place
+from smp_planner.compiled import FAST, chain, place, sine_cosine
 from smp_planner.occupancy.analytic import PackedObstacles, point_distance
 from smp_planner.robot_model import RobotModel
 
@@ -46,9 +48,6 @@ DURATION_LIMIT = 15.0
 
 # Distances of farther pairs of spheres of the arm are not told apart, m.
 _SELF_HORIZON = 0.05
-# A sphere is measured anew when it may be this near to being the closest, m: small values measure
-# less, large ones halve fewer segments.
-_SLACK = 0.05
 # Halvings of one segment: enough for a segment of a kilometre at a tolerance of a millimetre.
 _DEPTH = 22
 
@@ -91,24 +90,22 @@ class Verification:
 
 
 @njit(cache=True, fastmath=FAST, nogil=True)
-def _self_gap(  # type: ignore[no-untyped-def]
-    placed, balls, radius, groups, sizes, pairs, ball_radius
-):
-    """Return the least gap between spheres of `pairs`, m, or the horizon if that is less."""
+def _self_gap(placed, balls, step, radius, groups, sizes, pairs, ball_radius):
+    """Return the least gap between spheres of `pairs` at a step, m; at most the horizon."""
     least = _SELF_HORIZON
     for g in range(groups.shape[0]):
         i, j = groups[g, 0], groups[g, 1]
-        dx = balls[i, 0] - balls[j, 0]
-        dy = balls[i, 1] - balls[j, 1]
-        dz = balls[i, 2] - balls[j, 2]
+        dx = balls[i, 0, step] - balls[j, 0, step]
+        dy = balls[i, 1, step] - balls[j, 1, step]
+        dz = balls[i, 2, step] - balls[j, 2, step]
         clear = ball_radius[i] + ball_radius[j] + least
         if dx * dx + dy * dy + dz * dz >= clear * clear:
             continue
         for m in range(groups[g, 2], groups[g, 2] + sizes[g]):
             u, v = pairs[m, 0], pairs[m, 1]
-            dx = placed[u, 0] - placed[v, 0]
-            dy = placed[u, 1] - placed[v, 1]
-            dz = placed[u, 2] - placed[v, 2]
+            dx = placed[u, 0, step] - placed[v, 0, step]
+            dy = placed[u, 1, step] - placed[v, 1, step]
+            dz = placed[u, 2, step] - placed[v, 2, step]
             between = radius[u] + radius[v]
             square = dx * dx + dy * dy + dz * dz
             if square < max(between + least, 0.0) ** 2:
@@ -117,7 +114,7 @@ def _self_gap(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=FAST, nogil=True)
-def _check(  # type: ignore[no-untyped-def]
+def _check(
     trajectories,
     base,
     origins,
@@ -143,14 +140,22 @@ def _check(  # type: ignore[no-untyped-def]
 
     `lever` (S,n) bounds the distance of a sphere from the axis of each joint.
     """
-    count, steps, joints = trajectories.shape
+    count, joints, steps = trajectories.shape
     spheres = link.shape[0]
-    rotation = np.empty((joints + 1, 3, 3))
-    position = np.empty((joints + 1, 3))
-    cosine = np.empty(joints)
-    sine = np.empty(joints)
-    placed = np.empty((spheres, 3))
-    balls = np.empty((joints + 1, 3))
+    sine = np.empty((joints, steps))
+    cosine = np.empty((joints, steps))
+    rotation = np.empty((joints + 1, 3, 3, steps))
+    position = np.empty((joints + 1, 3, steps))
+    placed = np.empty((spheres, 3, steps))
+    balls = np.empty((joints + 1, 3, steps))
+    # The same for one configuration between two steps.
+    angles = np.empty((joints, 1))
+    sine_between = np.empty((joints, 1))
+    cosine_between = np.empty((joints, 1))
+    rotation_between = np.empty((joints + 1, 3, 3, 1))
+    position_between = np.empty((joints + 1, 3, 1))
+    placed_between = np.empty((spheres, 3, 1))
+    balls_between = np.empty((joints + 1, 3, 1))
     links = np.arange(joints + 1)
     measured_at = np.empty((spheres, 3))
     measured = np.empty(spheres)
@@ -160,8 +165,12 @@ def _check(  # type: ignore[no-untyped-def]
     gap = np.empty((_DEPTH + 2, spheres))
     self_gap = np.empty(_DEPTH + 2)
     for p in range(count):
+        sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
+        chain(sine, cosine, base, origins, rotation, position)
+        place(rotation, position, link, center, placed)
+        place(rotation, position, links, ball_center, balls)
         nearest = np.inf
-        # As if every sphere had been measured infinitely far away in contact: all are measured.
+        # All are to be measured at first.
         measured[:] = -np.inf
         measured_at[:] = 0.0
         clear_of_itself = True
@@ -171,7 +180,8 @@ def _check(  # type: ignore[no-untyped-def]
             for s in range(spheres):
                 way[s] = 0.0
                 for j in range(joints):
-                    way[s] += abs(trajectories[p, t, j] - trajectories[p, before, j]) * lever[s, j]
+                    turn = trajectories[p, j, t] - trajectories[p, j, before]
+                    way[s] += abs(turn) * lever[s, j]
                 longest = max(longest, way[s])
             top = 1
             at[0] = 0.0
@@ -179,25 +189,37 @@ def _check(  # type: ignore[no-untyped-def]
             fresh = True
             while top > 0:
                 if fresh:
-                    u = at[top]
-                    for j in range(joints):
-                        start, end = trajectories[p, before, j], trajectories[p, t, j]
-                        angle = start + u * (end - start)
-                        cosine[j] = math.cos(angle)
-                        sine[j] = math.sin(angle)
-                    chain(cosine, sine, base, origins, rotation, position)
-                    place(rotation, position, link, center, placed)
+                    spheres_here, balls_here, step = placed, balls, t
+                    if at[top] < 1.0:
+                        for j in range(joints):
+                            start, end = trajectories[p, j, before], trajectories[p, j, t]
+                            angles[j, 0] = start + at[top] * (end - start)
+                        sine_cosine(angles.ravel(), sine_between.ravel(), cosine_between.ravel())
+                        chain(
+                            sine_between,
+                            cosine_between,
+                            base,
+                            origins,
+                            rotation_between,
+                            position_between,
+                        )
+                        place(rotation_between, position_between, link, center, placed_between)
+                        place(rotation_between, position_between, links, ball_center, balls_between)
+                        spheres_here, balls_here, step = placed_between, balls_between, 0
                     for s in range(spheres):
                         if link[s] == 0:
                             gap[top, s] = np.inf
                             continue
-                        x, y, z = placed[s, 0], placed[s, 1], placed[s, 2]
+                        x = spheres_here[s, 0, step]
+                        y = spheres_here[s, 1, step]
+                        z = spheres_here[s, 2, step]
                         dx = x - measured_at[s, 0]
                         dy = y - measured_at[s, 1]
                         dz = z - measured_at[s, 2]
                         least = measured[s] - math.sqrt(dx * dx + dy * dy + dz * dz)
-                        # "not >=" measures also where both are infinite.
-                        if not least >= nearest + _SLACK:
+                        # What is by a segment's way farther than the nearest settles the segment
+                        # as it is; there is no need to measure it anew.
+                        if least < nearest + way[s]:
                             least = (
                                 point_distance(x, y, z, shape, rotations, positions, size, bound)
                                 - radius[s]
@@ -209,9 +231,15 @@ def _check(  # type: ignore[no-untyped-def]
                             nearest = min(nearest, least)
                         gap[top, s] = least
                     if clear_of_itself:
-                        place(rotation, position, links, ball_center, balls)
                         self_gap[top] = _self_gap(
-                            placed, balls, radius, groups, sizes, pairs, ball_radius
+                            spheres_here,
+                            balls_here,
+                            step,
+                            radius,
+                            groups,
+                            sizes,
+                            pairs,
+                            ball_radius,
                         )
                         clear_of_itself = self_gap[top] >= tolerance
                     fresh = False
@@ -283,7 +311,7 @@ def check_collisions(
     pairs = robot.link_pairs
     clearance, self_free = np.empty(len(q)), np.empty(len(q), np.bool_)
     _check(
-        q,
+        np.ascontiguousarray(q.swapaxes(1, 2)),
         robot.base,
         robot.joint_origins,
         robot.link,
@@ -318,7 +346,7 @@ def segment_durations(
     """
     limits = np.asarray(velocity, np.float64)
     if limits.ndim != 1 or not (np.isfinite(limits) & (limits > 0.0)).all():
-        raise ValueError(f"velocity must be (n,) positive numbers, got {velocity}")
+        raise ValueError(f"velocity must be (n,) positive numbers, got {velocity!r}")
     if not (math.isfinite(fraction) and fraction > 0.0):
         raise ValueError(f"fraction must be positive, got {fraction}")
     q = check_trajectories(trajectories, len(limits))
@@ -356,7 +384,8 @@ def within_joint_limits(trajectories: ArrayLike, robot: RobotModel) -> BoolArray
         ValueError: wrong shape or not finite.
     """
     q = check_trajectories(trajectories, robot.joints)
-    return ((q >= robot.lower) & (q <= robot.upper)).all(axis=(1, 2))
+    inside: BoolArray = np.all((q >= robot.lower) & (q <= robot.upper), axis=(1, 2))
+    return inside
 
 
 def verify(

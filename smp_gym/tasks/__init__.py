@@ -34,6 +34,11 @@ class Task(Protocol):
         """Version of the task's scene distribution."""
         ...
 
+    @property
+    def object_in_hand(self) -> FloatArray:
+        """(4, 4) pose of the object in the end-effector frame at the start."""
+        ...
+
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
         ...

@@ -16,6 +16,7 @@ from smp_gym.tasks.status import Status
 __all__ = [
     "BIN_LOWER",
     "BIN_UPPER",
+    "GRASP_FINGER_ANGLES",
     "HELD_OBJECT_POSE",
     "NOMINAL_BIN",
     "RELEASE_HEIGHT",
@@ -50,6 +51,9 @@ HELD_OBJECT_POSE = np.eye(4)
 HELD_OBJECT_POSE[:3, 3] = GRASP_CENTER
 HELD_OBJECT_POSE.setflags(write=False)
 
+GRASP_FINGER_ANGLES = (0.88, 0.88, 0.0, 0.0)
+"""Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
+
 _POTENTIAL_PER_METRE = 100.0
 _HEIGHT_TOLERANCE = 0.05
 
@@ -82,6 +86,11 @@ class Placement:
 
     name: str = "Placement"
     version: int = 0
+
+    @property
+    def object_in_hand(self) -> FloatArray:
+        """(4, 4) pose of the object in the end-effector frame at the start."""
+        return HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""

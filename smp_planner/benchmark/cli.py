@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["app"]
 
 _INTERRUPTED = 130
+_MAP_SCENES = 20
 
 app = typer.Typer(
     name="smp-bench",
@@ -162,11 +163,15 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
 
 
 def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
-    """Write table and summary, and show the summary."""
+    """Write rows and summary, and show the summary."""
+    from smp_gym.scene_sampling import sample_scene
+    from smp_planner.benchmark.map_accuracy import measure_default_map
     from smp_planner.benchmark.report import summarise, table
     from smp_planner.benchmark.store import write_csv, write_json
 
-    summary = summarise(manifest, rows)
+    seeds = range(manifest.seed, manifest.seed + min(manifest.episodes, _MAP_SCENES))
+    scenes = [sample_scene(t, manifest.difficulty, s) for t in manifest.tasks for s in seeds]
+    summary = summarise(manifest, rows, measure_default_map(scenes))
     write_csv(out / "episodes.csv", rows)
     write_json(out / "summary.json", summary)
     console = _console()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -66,10 +65,12 @@ class EpisodeRow:
         success: whether the physics engine judged the episode a success.
         collision: whether a forbidden contact ended it.
         cause: why it failed; empty after a success.
+        contact: the two parts of the forbidden contact, if there was one.
         goal_error: distance from the object's centre to where it should rest, when the episode
             ended, m.
         path_length: way of the end effector, m.
-        clearance: least distance of arm or held object to an obstacle, judged by the physics, m.
+        clearance: least distance of arm or held object to an obstacle, judged by the physics, m;
+            the environment does not tell distances above 0.05 apart.
         steps: environment steps.
         share_collision_free: share of the particles that are collision-free on the exact map.
         share_executable: share within the joint limits and the planner's limit of duration.
@@ -92,9 +93,10 @@ class EpisodeRow:
     success: bool
     collision: bool
     cause: str
+    contact: str
     goal_error: float
     path_length: float
-    clearance: float | None
+    clearance: float
     steps: int
     share_collision_free: float | None = None
     share_executable: float | None = None
@@ -188,7 +190,6 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
     first = decoded = decode(observation, key.task)
     hand, carried = [decoded.robot.end_effector_position], [decoded.object.position]
     state = None
-    clearance = math.inf
     steps, over = 0, False
     while not over:
         if rendering:
@@ -198,7 +199,6 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
         decoded = decode(observation, key.task)
         hand.append(decoded.robot.end_effector_position)
         carried.append(decoded.object.position)
-        clearance = min(clearance, float(info["clearance"]))
         steps += 1
         over = terminated or truncated
     if rendering:
@@ -215,10 +215,11 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
         seed=key.seed,
         success=success,
         collision=bool(info["collided"]),
-        cause="" if success else str(info["cause"]),
+        cause=info["failure"],
+        contact=" – ".join(info["collision"] or ()),
         goal_error=_goal_error(decoded),
         path_length=float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()),
-        clearance=clearance if math.isfinite(clearance) else None,
+        clearance=float(info["clearance"]),
         steps=steps,
         episode_time=elapsed,
         **_of_plan(plan),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +11,17 @@ import imageio.v2 as imageio
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from matplotlib.ticker import MultipleLocator
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import GRASP_CENTER, end_effector_pose, link_transforms
 from smp_gym.observation import CONTROL_PERIOD
-from smp_gym.scene import TABLE, Obstacle, Scene, fixtures
+from smp_gym.scene import Obstacle, Scene, fixtures
+from smp_planner.benchmark.drawing import Camera, Painter, body_faces
 from smp_planner.benchmark.episodes import EpisodeKey, Rollout, environment_id, roll_out
 from smp_planner.policy import PlannerPolicy
 
@@ -35,11 +31,13 @@ FRAME_RATE = round(1.0 / CONTROL_PERIOD)
 """Frames per second of a video: real time."""
 
 _HOLD_FRAMES = FRAME_RATE
-_ELEVATION, _AZIMUTH = 26.0, -52.0
-_FREE, _COLLIDING, _CHOSEN, _DEMONSTRATION = "#1f77b4", "#d62728", "#f59e0b", "#6b7280"
-_OBSTACLE, _BIN, _ARM = "#b08968", "#2a9d8f", "#374151"
-_LIGHT = np.array([0.35, -0.45, 0.82])
-_ROUND = 24
+_FREE, _COLLIDING, _CHOSEN, _DEMONSTRATION = "#7fa3ee", "#ea8585", "#f59e0b", "#4b5563"
+_OBSTACLE, _BIN, _ARM = "#c9a27c", "#5fb3a8", "#374151"
+_TABLE, _GRID, _SHADOW = "#f4f2ed", "#dcd8cf", "#d5d0c5"
+_GRID_STEP = 0.2
+# Depth, m, by which a white rim lies behind its line: more than the length of a piece.
+_HALO = 0.025
+_AZIMUTH, _ELEVATION, _DISTANCE = -28.0, 28.0, 2.2
 
 FloatArray = NDArray[np.float64]
 
@@ -58,219 +56,144 @@ def object_paths(trajectories: FloatArray) -> FloatArray:
     return paths
 
 
-def _box_faces() -> list[FloatArray]:
-    faces = []
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-            faces.append(np.insert(corners, axis, side, axis=1))
-    return faces
+def _on_table(points: FloatArray) -> FloatArray:
+    return points * (1.0, 1.0, 0.0)
 
 
-def _round_faces(heights: FloatArray, radii: FloatArray) -> list[FloatArray]:
-    """Return the quadrilaterals of a body of revolution about z."""
-    angles = np.linspace(0.0, 2 * np.pi, _ROUND + 1)
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    rings = [
-        np.column_stack([r * circle, np.full(len(circle), h)])
-        for h, r in zip(heights, radii, strict=True)
-    ]
-    return [
-        np.array([low[i], low[i + 1], high[i + 1], high[i]])
-        for low, high in pairwise(rings)
-        for i in range(_ROUND)
-    ]
+def _outline(body: Obstacle) -> FloatArray:
+    """Return the outline of a body as seen from above, (V, 2) m."""
+    points = np.concatenate(body_faces(body))[:, :2]
+    outline: FloatArray = points[ConvexHull(points).vertices]
+    return outline
 
 
-def _faces(obstacle: Obstacle) -> list[FloatArray]:
-    """Return the polygons of a body in the base frame, each (V, 3) m."""
-    if obstacle.shape == "box":
-        unit = _box_faces()
-    elif obstacle.shape == "cylinder":
-        unit = _round_faces(np.array([-1.0, -1.0, 1.0, 1.0]), np.array([0.0, 1.0, 1.0, 0.0]))
-    else:
-        polar = np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2 + 1)
-        unit = _round_faces(np.sin(polar), np.cos(polar))
-    rotation = Rotation.from_quat(obstacle.quaternion).as_matrix()
-    return [(face * obstacle.size) @ rotation.T + obstacle.position for face in unit]
+def _arm(scene: Scene) -> FloatArray:
+    """Return the joints of the arm at the start, from the base to the object, (9, 3) m."""
+    start = np.array(scene.start)
+    joints = link_transforms(start)[:, :3, 3]
+    return np.concatenate([np.zeros((1, 3)), joints, object_paths(start)[None]])
 
 
-def _shaded(faces: list[FloatArray], centre: FloatArray, color: str) -> FloatArray:
-    """Return a colour per face, lighter where it faces the light."""
-    base = np.array(to_rgb(color))
-    colors = []
-    for face in faces:
-        outward = face.mean(axis=0) - centre
-        length = np.linalg.norm(outward)
-        brightness = 0.5 + 0.5 * (outward @ _LIGHT / length if length > 0 else 0.0)
-        colors.append(np.clip(base * (0.6 + 0.45 * brightness), 0.0, 1.0))
-    return np.array(colors)
+def _paint_table(painter: Painter, points: FloatArray) -> None:
+    """Paint the part of the table under all points, with a grid of `_GRID_STEP`."""
+    low = np.floor(points.min(axis=0) / _GRID_STEP) * _GRID_STEP
+    high = np.ceil(points.max(axis=0) / _GRID_STEP) * _GRID_STEP
+    corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
+    painter.flat(np.array([(*corner, 0.0) for corner in corners]), _TABLE, _GRID)
+    for axis in (0, 1):
+        for value in np.arange(low[axis], high[axis] + 1e-9, _GRID_STEP):
+            line = np.array([(*low[:2], 0.0), (*high[:2], 0.0)])
+            line[:, axis] = value
+            painter.flat_line(line, _GRID, 0.6)
 
 
-def _draw_body(axes: Any, body: Obstacle, color: str, alpha: float) -> None:
-    faces = _faces(body)
-    colors = _shaded(faces, np.array(body.position), color)
-    axes.add_collection3d(
-        Poly3DCollection(
-            faces,
-            facecolors=np.column_stack([colors, np.full(len(colors), alpha)]),
-            edgecolors=(1, 1, 1, 0.25) if body.shape == "box" else "none",
-            linewidths=0.4,
+def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
+    scene, plan = rollout.scene, rollout.plan
+    paths, arm = object_paths(plan.trajectories), _arm(scene)
+    bin_parts = fixtures(scene)[1:]
+    bodies = [*scene.obstacles, *bin_parts]
+    corners = [np.concatenate(body_faces(body)) for body in bodies]
+    points = np.concatenate([arm, paths.reshape(-1, 3), demonstrations.reshape(-1, 3), *corners])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    target = (float(middle[0]), float(middle[1]), float(middle[2]))
+    painter = Painter(Camera(target, _AZIMUTH, _ELEVATION, _DISTANCE))
+    _paint_table(painter, points)
+    for body in bodies:
+        outline = _outline(body)
+        painter.flat(np.column_stack([outline, np.zeros(len(outline))]), _SHADOW)
+    painter.flat_line(_on_table(paths[plan.chosen]), "#b8b2a6", 2.0)
+    for body in scene.obstacles:
+        painter.body(body, _OBSTACLE)
+    for body in bin_parts:
+        painter.body(body, _BIN, alpha=0.3)
+    painter.line(arm, "white", 10.0, nearer=-_HALO)
+    painter.line(arm, _ARM, 8.0)
+    for path, free in zip(paths, plan.collision_free, strict=True):
+        painter.line(path, _FREE if free else _COLLIDING, 0.9)
+    for path in demonstrations:
+        painter.line(path, _DEMONSTRATION, 1.2, dashed=True)
+    painter.line(paths[plan.chosen], "white", 5.5, nearer=-_HALO)
+    painter.line(paths[plan.chosen], _CHOSEN, 3.5, nearer=_HALO)
+    painter.paint(axes)
+
+
+def _draw_from_above(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
+    scene, plan = rollout.scene, rollout.plan
+    bin_parts = fixtures(scene)[1:]
+    for bodies, color, alpha in ((bin_parts, _BIN, 0.4), (scene.obstacles, _OBSTACLE, 0.8)):
+        for body in bodies:
+            axes.add_patch(Polygon(_outline(body), facecolor=color, alpha=alpha, edgecolor="none"))
+    paths = object_paths(plan.trajectories)[..., :2]
+    free = plan.collision_free
+    for chosen, color, width, alpha in (
+        (paths[~free], _COLLIDING, 0.8, 0.8),
+        (paths[free], _FREE, 0.8, 0.8),
+        (paths[[plan.chosen]], "white", 4.5, 1.0),
+        (paths[[plan.chosen]], _CHOSEN, 2.8, 1.0),
+    ):
+        axes.add_collection(LineCollection(list(chosen), colors=color, lw=width, alpha=alpha))
+    axes.add_collection(
+        LineCollection(
+            list(demonstrations[..., :2]), colors=_DEMONSTRATION, lw=0.9, linestyles="dashed"
         )
     )
-
-
-def _draw_paths(axes: Any, paths: FloatArray, flat: bool, **style: Any) -> None:
-    if not len(paths):
-        return
-    if flat:
-        axes.add_collection(LineCollection(list(paths[..., :2]), **style))
-    else:
-        axes.add_collection3d(Line3DCollection(list(paths), **style))
-
-
-def _draw_particles(
-    axes: Any, rollout: Rollout, demonstrations: FloatArray, flat: bool = False
-) -> None:
-    plan = rollout.plan
-    paths = object_paths(plan.trajectories)
-    chosen = np.arange(len(paths)) == plan.chosen
-    free = plan.collision_free
-    _draw_paths(
-        axes, demonstrations, flat, colors=_DEMONSTRATION, linestyles="dashed", linewidths=1.1
-    )
-    _draw_paths(axes, paths[~free & ~chosen], flat, colors=_COLLIDING, linewidths=0.8, alpha=0.4)
-    _draw_paths(axes, paths[free & ~chosen], flat, colors=_FREE, linewidths=0.9, alpha=0.55)
-    for color, width in (("white", 5.0), (_CHOSEN, 3.0)):
-        _draw_paths(axes, paths[chosen], flat, colors=color, linewidths=width, zorder=20)
-
-
-def _draw_flat_bodies(axes: Any, scene: Scene) -> None:
-    """Draw the outlines of all bodies as seen from above."""
-    bin_parts = fixtures(scene)[1:]
-    for bodies, color, alpha in ((bin_parts, _BIN, 0.35), (scene.obstacles, _OBSTACLE, 0.75)):
-        for body in bodies:
-            points = np.concatenate(_faces(body))[:, :2]
-            outline = points[ConvexHull(points).vertices]
-            axes.add_patch(
-                Polygon(outline, facecolor=color, alpha=alpha, edgecolor="white", lw=0.6)
-            )
+    axes.plot(*_arm(scene)[:, :2].T, color=_ARM, lw=4, alpha=0.5, solid_capstyle="round")
+    axes.plot(0, 0, "o", color=_ARM, ms=9)
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    axes.set(xlabel="x, m", ylabel="y, m")
+    axes.set_title("from above", fontsize=10, loc="left", color=_DEMONSTRATION)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    axes.grid(color="#e5e7eb", lw=0.5)
+    axes.set_axisbelow(True)
 
 
 def _legend_entries(rollout: Rollout, count: int) -> list[Any]:
     plan = rollout.plan
     free = int(plan.collision_free.sum())
-    entries = [
-        Line2D([], [], color=_CHOSEN, lw=3, label="chosen particle"),
-        Line2D([], [], color=_FREE, lw=1.2, label=f"collision-free particles ({free})"),
-        Line2D(
-            [], [], color=_COLLIDING, lw=1.2, label=f"colliding particles ({len(plan.good) - free})"
-        ),
-        Line2D([], [], color=_DEMONSTRATION, lw=1.1, ls="--", label=f"demonstrations ({count})"),
+    colliding = len(plan.collision_free) - free
+    return [
+        Line2D([], [], color=_CHOSEN, lw=3.5, label="chosen particle"),
+        Line2D([], [], color=_FREE, lw=1.3, label=f"collision-free particles ({free})"),
+        Line2D([], [], color=_COLLIDING, lw=1.3, label=f"colliding particles ({colliding})"),
+        Line2D([], [], color=_DEMONSTRATION, lw=1.2, ls="--", label=f"demonstrations ({count})"),
+        Line2D([], [], color=_ARM, lw=7, label="arm at the start", solid_capstyle="round"),
         Patch(color=_OBSTACLE, label="obstacles"),
-        Patch(color=_BIN, alpha=0.5, label="bin"),
-        Line2D([], [], color=_ARM, lw=4, label="arm at the start"),
+        Patch(color=_BIN, alpha=0.6, label="bin"),
     ]
-    return entries
-
-
-def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of the box around all points, from the table up."""
-    lower, upper = points.min(axis=0) - 0.03, points.max(axis=0) + 0.03
-    lower[2] = 0.0
-    return lower, upper
-
-
-def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
-    scene = rollout.scene
-    arm = link_transforms(np.array(scene.start))[:, :3, 3]
-    arm = np.concatenate([np.zeros((1, 3)), arm, object_paths(np.array(scene.start))[None]])
-    bodies = [*scene.obstacles, *fixtures(scene)[1:]]
-    points = np.concatenate(
-        [
-            arm,
-            object_paths(rollout.plan.trajectories).reshape(-1, 3),
-            demonstrations.reshape(-1, 3),
-            *(np.concatenate(_faces(body)) for body in bodies),
-        ]
-    )
-    lower, upper = _limits(points)
-    top = TABLE.position[2] + TABLE.size[2]
-    corners = [
-        (lower[0], lower[1]),
-        (upper[0], lower[1]),
-        (upper[0], upper[1]),
-        (lower[0], upper[1]),
-    ]
-    table = np.array([(*corner, top) for corner in corners])
-    axes.add_collection3d(Poly3DCollection([table], facecolors="#f3f1ec", edgecolors="#d6d3cb"))
-    for body in fixtures(scene)[1:]:
-        _draw_body(axes, body, _BIN, 0.35)
-    for body in scene.obstacles:
-        _draw_body(axes, body, _OBSTACLE, 0.85)
-    axes.plot(*arm.T, color=_ARM, lw=5, solid_capstyle="round", solid_joinstyle="round", alpha=0.9)
-    axes.plot(*arm.T, color="white", marker="o", ms=3.5, lw=0)
-    _draw_particles(axes, rollout, demonstrations)
-    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
-    axes.set_box_aspect(upper - lower, zoom=1.12)
-    axes.set_proj_type("persp", focal_length=0.6)
-    axes.view_init(_ELEVATION, _AZIMUTH)
-    axes.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_pane_color((1, 1, 1, 0))
-        axis._axinfo["grid"].update(color="#e5e7eb", linewidth=0.5)
-        axis.set_major_locator(MultipleLocator(0.2))
-
-
-def _draw_plan_view(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
-    _draw_flat_bodies(axes, rollout.scene)
-    _draw_particles(axes, rollout, demonstrations, flat=True)
-    axes.plot(0, 0, "s", color=_ARM, ms=9)
-    axes.annotate(
-        "base", (0, 0), xytext=(8, -3), textcoords="offset points", color=_ARM, fontsize=8
-    )
-    axes.set_aspect("equal")
-    axes.autoscale_view()
-    axes.set(xlabel="x, m", ylabel="y, m")
-    axes.set_title("from above", fontsize=10, loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(color="#e5e7eb", lw=0.5)
-    axes.set_axisbelow(True)
 
 
 def scene_figure(rollout: Rollout, path: Path) -> None:
     """Draw scene, particles and demonstrations in 3-D and from above, and write a PNG.
 
-    Lines are ways of the grasped object's centre; all axes have the same scale.
+    Lines are ways of the grasped object's centre; the grid on the table has steps of 0.2 m.
 
     Args:
         rollout: one played episode.
         path: of the image.
     """
     row = rollout.row
-    configurations = Demonstrations.load(row.task).configurations
-    demonstrations = object_paths(configurations)
-    figure = Figure(figsize=(13.0, 7.0), dpi=150, facecolor="white")
+    demonstrations = object_paths(Demonstrations.load(row.task).configurations)
+    figure = Figure(figsize=(12.0, 6.4), dpi=160, facecolor="white")
     FigureCanvasAgg(figure)
-    space = figure.add_axes((0.0, 0.0, 0.64, 0.93), projection="3d", computed_zorder=True)
-    above = figure.add_axes((0.67, 0.10, 0.31, 0.50))
-    _draw_space(space, rollout, demonstrations)
-    _draw_plan_view(above, rollout, demonstrations)
+    _draw_space(figure.add_axes((0.01, 0.01, 0.68, 0.87)), rollout, demonstrations)
+    _draw_from_above(figure.add_axes((0.735, 0.09, 0.255, 0.50)), rollout, demonstrations)
     figure.legend(
         handles=_legend_entries(rollout, len(demonstrations)),
         loc="upper left",
-        bbox_to_anchor=(0.66, 0.92),
+        bbox_to_anchor=(0.72, 0.98),
         frameon=False,
-        fontsize=10,
+        fontsize=9.5,
     )
     outcome = "success" if row.success else f"failed: {row.cause}"
-    figure.text(0.02, 0.95, f"{row.task}, {row.method}", fontsize=15, weight="bold")
+    figure.text(0.02, 0.94, f"{row.task}, {row.method}", fontsize=15, weight="bold")
     figure.text(
         0.02,
-        0.915,
-        f"{row.difficulty}, seed {row.seed}: {outcome}",
+        0.905,
+        f"difficulty {row.difficulty}, seed {row.seed}: {outcome}",
         fontsize=10,
-        color="#4b5563",
+        color=_DEMONSTRATION,
     )
     figure.savefig(path)
 

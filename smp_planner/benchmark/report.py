@@ -6,6 +6,7 @@ import math
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from rich.table import Table
 from scipy import stats
 
 from smp_planner.benchmark.episodes import EpisodeRow
+from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.store import Manifest
 
 __all__ = ["CONFIDENCE", "mean_interval", "rate_interval", "summarise", "table"]
@@ -101,7 +103,9 @@ def _of_group(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
     return summary
 
 
-def summarise(manifest: Manifest, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
+def summarise(
+    manifest: Manifest, rows: Sequence[EpisodeRow], accuracy: MapAccuracy | None = None
+) -> dict[str, Any]:
     """Return the summary of a run, ready for JSON.
 
     Rates carry Wilson intervals and means bootstrap intervals, both of level `CONFIDENCE`.
@@ -109,6 +113,7 @@ def summarise(manifest: Manifest, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
     Args:
         manifest: of the run.
         rows: of its episodes; need not be all of them.
+        accuracy: of the occupancy map on the run's scenes, if it was measured.
     """
     groups = []
     for task in manifest.tasks:
@@ -123,6 +128,7 @@ def summarise(manifest: Manifest, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
         "confidence": CONFIDENCE,
         "versions": dict(manifest.versions),
         "code": manifest.code,
+        "map": asdict(accuracy) if accuracy else None,
         "groups": groups,
     }
 
@@ -144,9 +150,15 @@ def _number(estimate: Mapping[str, float] | None, scale: float, digits: int) -> 
 def table(summary: Mapping[str, Any]) -> Table:
     """Return the summary as a table: one column per method and task, one line per quantity."""
     first, last = summary["seed"], summary["seed"] + summary["episodes"] - 1
+    caption = f"{summary['confidence']:.0%} intervals: Wilson for rates, bootstrap for means"
+    if accuracy := summary["map"]:
+        caption += (
+            f"\nmap: {accuracy['inside_occupied']:.2%} of points 1 cm or more inside are occupied, "
+            f"{accuracy['outside_occupied']:.2%} of points 2–6 cm outside"
+        )
     result = Table(
         title=f"difficulty {summary['difficulty']}, seeds {first}–{last}",
-        caption=f"{summary['confidence']:.0%} intervals: Wilson for rates, bootstrap for means",
+        caption=caption,
         title_justify="left",
         caption_justify="left",
     )

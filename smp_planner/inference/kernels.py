@@ -67,7 +67,9 @@ def median_bandwidth(squared_distances: Tensor) -> Tensor:
 
 
 def median_over_log_bandwidth(squared_distances: Tensor) -> Tensor:
-    """Return med² / log P, for which Σ_j k(x_j, x_i) is about 1 (Liu & Wang 2016, Sec. 5).
+    """Return med² / log P, with which the kernel of the median pair is 1 / P.
+
+    A particle then weighs about as much as all others together (Liu & Wang 2016, Sec. 5).
 
     Args:
         squared_distances: (..., P, P), zero on the diagonal.

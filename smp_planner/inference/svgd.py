@@ -3,6 +3,10 @@
 Source: Liu & Wang 2016, Alg. 1; Eq. (5), (11) and (16). The indices of those equations are read in
 the standard way: the sum runs over j, particle i is updated, and the repulsive gradient is with
 respect to the summed particle, φ(x_i) = 1/P Σ_j [k(x_j, x_i) ∇ log p(x_j) + ∇_{x_j} k(x_j, x_i)].
+
+A finite set has less spread than its target, the less the more dimensions and the fewer particles
+there are, and in directions that the likelihood makes much narrower than the rest it may lose all
+of it; means and modes are kept.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from torch import Tensor
 __all__ = ["SmoothBox"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SmoothBox:
     """A distribution that is flat inside a box and falls off smoothly outside, Eq. (14).
 

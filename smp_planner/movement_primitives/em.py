@@ -49,7 +49,7 @@ class EMSettings:
     prior_count: float = 1.0
     noise_std_floor: float = 1e-4
     max_iterations: int = 200
-    tolerance: float = 1e-7
+    tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -60,7 +60,7 @@ def smooth_covariance(
     return torch.kron(along_phase, identity)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ProMP:
     """A Gaussian over trajectories, y_t = Φ_t w with w ~ N(μ_w, Σ_w), Eq. (1).
 
@@ -145,7 +145,8 @@ class ProMP:
 
         Args:
             demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in rad; samples stand at
-                equal steps of phase. Tensors keep their dtype and device, arrays become float64.
+                equal steps of phase. Tensors keep their device and dtype (the learning itself is
+                done in float64), arrays become float64.
             basis: default `GaussianBasis()`, K = 15.
             smooth_std: standard deviation that is added at mid phase, in every dimension, rad.
             smooth_length_scale: its length scale, in phase.
@@ -157,11 +158,14 @@ class ProMP:
         """
         basis = basis or GaussianBasis()
         checked = _checked_demonstrations(demonstrations)
-        learned = expectation_maximization(checked, basis, em)
+        exact = [d.double() for d in checked]
+        learned = expectation_maximization(exact, basis, em)
         added = smooth_covariance(
-            basis, checked[0].shape[-1], smooth_std, smooth_length_scale, checked[0]
+            basis, exact[0].shape[-1], smooth_std, smooth_length_scale, exact[0]
         )
-        return cls.from_covariance(basis, learned.mean, learned.covariance + added, learned.noise)
+        factor = _square_root(learned.covariance + added)
+        mean, factor, noise = (t.to(checked[0]) for t in (learned.mean, factor, learned.noise))
+        return cls(basis, mean, factor, noise)
 
     @property
     def dimension(self) -> int:

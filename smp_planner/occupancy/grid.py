@@ -18,7 +18,7 @@ from smp_gym.scene import Obstacle
 from smp_planner.occupancy.analytic import AnalyticMap, check_points
 from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
 
-__all__ = ["SPACING", "WORKSPACE", "DistanceGrid", "bake", "bake_analytic", "lookup"]
+__all__ = ["SPACING", "WORKSPACE", "DistanceGrid", "bake", "bake_analytic", "grid_nodes", "lookup"]
 
 WORKSPACE = ((-0.6, -0.95, -0.1), (0.95, 0.95, 1.2))
 """Corners of the default grid, m: where the arm with an object in its hand can be."""
@@ -133,6 +133,26 @@ class DistanceGrid:
         return distance.reshape(array.shape[:-1]), gradient.reshape(array.shape)
 
 
+def grid_nodes(
+    workspace: tuple[Sequence[float], Sequence[float]], spacing: float
+) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
+    """Return origin (3,) m and number of nodes along each axis of the grid over a workspace.
+
+    Raises:
+        ValueError: the corners are not finite or not in order, or `spacing` is not positive.
+    """
+    lower, upper = (np.asarray(corner, np.float64) for corner in workspace)
+    if lower.shape != (3,) or upper.shape != (3,) or not np.isfinite([lower, upper]).all():
+        raise ValueError(f"workspace must be two corners of 3 finite numbers, got {workspace}")
+    if not (lower < upper).all():
+        raise ValueError(f"workspace must have its lower corner first, got {workspace}")
+    if not (math.isfinite(spacing) and spacing > 0.0):
+        raise ValueError(f"spacing must be positive, got {spacing}")
+    # Without the rounding a box of exactly n cells may get n + 1.
+    nx, ny, nz = (int(n) + 1 for n in np.ceil(np.round((upper - lower) / spacing, 6)))
+    return lower, (nx, ny, nz)
+
+
 def bake(
     occupancy_map: OccupancyMap,
     workspace: tuple[Sequence[float], Sequence[float]] = WORKSPACE,
@@ -151,18 +171,10 @@ def bake(
     Raises:
         ValueError: the corners are not finite or not in order, or `spacing` is not positive.
     """
-    lower, upper = (np.asarray(corner, np.float64) for corner in workspace)
-    if lower.shape != (3,) or upper.shape != (3,) or not np.isfinite([lower, upper]).all():
-        raise ValueError(f"workspace must be two corners of 3 finite numbers, got {workspace}")
-    if not (lower < upper).all():
-        raise ValueError(f"workspace must have its lower corner first, got {workspace}")
-    if not (math.isfinite(spacing) and spacing > 0.0):
-        raise ValueError(f"spacing must be positive, got {spacing}")
-    # Without the rounding a box of exactly n cells may get n + 1.
-    cells = np.ceil(np.round((upper - lower) / spacing, 6)).astype(int)
-    values = np.full(tuple(cells + 1), occupancy_map.truncation, np.float32)
-    occupancy_map.fill(values, lower, spacing)
-    return DistanceGrid(lower, spacing, values)
+    origin, nodes = grid_nodes(workspace, spacing)
+    values = np.full(nodes, occupancy_map.truncation, np.float32)
+    occupancy_map.fill(values, origin, spacing)
+    return DistanceGrid(origin, spacing, values)
 
 
 def bake_analytic(

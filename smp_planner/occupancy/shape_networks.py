@@ -14,10 +14,7 @@ creases of the inner distance, which a smooth network cannot follow, to the bord
 
 from __future__ import annotations
 
-import io
-import json
 import math
-import zipfile
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib import resources
@@ -29,14 +26,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.scene import SHAPES, Obstacle
 from smp_planner.occupancy.analytic import PackedObstacles, check_points, to_local
+from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.occupancy_map import window
 
 __all__ = ["ShapeNetworkMap", "ShapeNetworks", "default_networks", "face_offsets"]
 
 Float32Array = NDArray[np.float32]
 
-FORMAT = "smp-shape-networks"
-VERSION = 1
+_HEADER = {"format": "smp-shape-networks", "version": 1, "shapes": list(SHAPES)}
 
 _BOX = SHAPES.index("box")
 _CYLINDER = SHAPES.index("cylinder")
@@ -101,10 +98,8 @@ class ShapeNetworks:
 
     def save(self, path: str | Path) -> None:
         """Write an `.npz` without pickled objects, which `load` gives back exactly."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(self)[1:]}
-        header = {"format": FORMAT, "version": VERSION, "shapes": SHAPES}
-        np.savez_compressed(
-            path, header=np.array(json.dumps(header)), truncation=self.truncation, **arrays
+        write_archive(
+            path, _HEADER, {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
         )
 
     @classmethod
@@ -119,16 +114,10 @@ class ShapeNetworks:
 
     @classmethod
     def _parse(cls, content: bytes, source: str) -> ShapeNetworks:
-        names = [f.name for f in fields(cls)]
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-                header = json.loads(str(archive["header"]))
-                arrays = {name: archive[name] for name in names}
-        except (KeyError, OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{source} holds no shape networks: {error}") from error
-        wanted = {"format": FORMAT, "version": VERSION, "shapes": list(SHAPES)}
-        if header != wanted:
-            raise ValueError(f"{source} must have the header {wanted}, got {header}")
+        arrays = read_archive(content, source, _HEADER)
+        names = {f.name for f in fields(cls)}
+        if set(arrays) != names or arrays["truncation"].shape != ():
+            raise ValueError(f"{source} must hold {sorted(names)}, got {sorted(arrays)}")
         return cls(float(arrays.pop("truncation")), **arrays)
 
 

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -171,7 +171,7 @@ class PlannerModel(ABC):
         self.demonstrations = demonstrations
         self.settings = self.Settings() if settings is None else settings
         self.primitive = ProMP.fit(
-            demonstrations.configurations, smooth_std=self.settings.smooth_std
+            np.array(demonstrations.configurations), smooth_std=self.settings.smooth_std
         )
 
     @abstractmethod
@@ -224,7 +224,7 @@ class PlannerModel(ABC):
         with stopwatch.stage("verification"):
             weights = tied.primitive.unwhiten(latent)
             trajectories = tied.primitive.trajectory(weights, SAMPLES).numpy()
-            verdict = verify(robot, trajectories, problem.obstacles)
+            verdict = verify(trajectories, robot, problem.obstacles)
             duration = minimum_duration(trajectories)
             executable = verdict.within_limits & (duration <= self.settings.duration_limit)
             goal_error = _goal_error(problem, robot, trajectories[:, -1])
@@ -287,4 +287,4 @@ def jaco_with(problem: Problem) -> RobotModel:
     return jaco_model(problem.attached)
 
 
-Axis = Literal["prior"]
+

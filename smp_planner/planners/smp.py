@@ -22,7 +22,8 @@ from smp_planner.costs import (
 )
 from smp_planner.inference import init, named_settings, step
 from smp_planner.movement_primitives import phases
-from smp_planner.occupancy import bake, scene_map
+from smp_planner.occupancy.grid import bake
+from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
 from smp_planner.planners.base import (
     PlannerModel,
     PlannerSettings,
@@ -149,7 +150,7 @@ class Likelihood:
 
     def __init__(self, problem: Problem, robot: RobotModel, settings: SMPSettings) -> None:
         self._settings = settings
-        self._obstacles = CollisionCost(robot, bake(scene_map(problem.obstacles)))
+        self._obstacles = CollisionCost(robot, bake(ShapeNetworkMap(problem.obstacles, default_networks())))
         terms = {
             "self_collision": (settings.self_collision_weight, SelfCollisionCost(robot)),
             "goal": (1.0, GoalCost(robot, problem.goals, settings.goal_sigma)),

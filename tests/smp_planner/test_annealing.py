@@ -1,6 +1,7 @@
 """Schedules against what they promise."""
 
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -10,7 +11,7 @@ from smp_planner.inference.annealing import linear_decay, tanh_annealing
 def test_tanh_annealing_rises_to_one_and_stays():
     factors = [tanh_annealing(i, 100, 0.7) for i in range(100)]
     assert 0 < factors[0] < 0.05
-    assert all(a < b for a, b in zip(factors[:69], factors[1:70], strict=True))
+    assert all(a < b for a, b in pairwise(factors[:70]))
     assert factors[69:] == pytest.approx([1.0] * 31)
     assert factors[34] == pytest.approx(math.tanh(0.65) / math.tanh(1.3))
 

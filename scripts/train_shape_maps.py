@@ -1,0 +1,43 @@
+"""Train the shape networks of the default occupancy map and put them where the package looks.
+
+They are trained once for all scenes, so this needs to run again only if the shapes, the form of the
+networks or the truncation distance change.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from smp_planner.occupancy.shape_training import train_shape_networks
+
+DEFAULT_OUT = Path(__file__).parents[1] / "envs_assets" / "occupancy" / "shape_networks.npz"
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="File to write (.npz without pickle).")] = DEFAULT_OUT,
+    hidden: Annotated[int, typer.Option(min=1, help="Units in each of the two layers.")] = 16,
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of L-BFGS, each on new points.")] = 8,
+    samples: Annotated[int, typer.Option(min=1, help="Points in each round.")] = 20_000,
+    seed: Annotated[int, typer.Option(help="Of initial weights and points.")] = 0,
+) -> None:
+    """Train one network per obstacle shape (box, cylinder, sphere): about two minutes on one core.
+
+    Measure the result with scripts/measure_maps.py.
+    """
+    console = Console()
+
+    def report(shape: str, done: int, error: float) -> None:
+        console.print(f"{shape:>8}  round {done}/{rounds}  RMS error {1e3 * error:.3f} mm")
+
+    networks = train_shape_networks(hidden, rounds, samples, seed=seed, report=report)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    networks.save(out)
+    console.print(f"wrote {out}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

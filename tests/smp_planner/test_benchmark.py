@@ -1,0 +1,425 @@
+"""The benchmark: what is asked, played, stored, continued, summarised, drawn and printed."""
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from typer.testing import CliRunner
+
+from smp_planner.benchmark import runner
+from smp_planner.benchmark.cli import app
+from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
+from smp_planner.benchmark.report import mean_interval, rate_interval, summarise, table
+from smp_planner.benchmark.store import (
+    COLUMNS,
+    EpisodeStore,
+    Manifest,
+    ResultsError,
+    read_results,
+    write_csv,
+)
+
+TIMES = ("planning_time", "episode_time")
+
+
+def fake_play(key: EpisodeKey) -> EpisodeRow:
+    """Return a row that follows from the key, without an environment."""
+    draw = np.random.default_rng([key.seed, len(key.method)])
+    success = bool(draw.random() < 0.7)
+    return EpisodeRow(
+        task=key.task,
+        method=key.method,
+        difficulty=key.difficulty,
+        seed=key.seed,
+        success=success,
+        collision=not success,
+        cause="" if success else "collision",
+        contact="" if success else "palm – obstacle_0",
+        goal_error=float(draw.random()),
+        path_length=1.0 + float(draw.random()),
+        clearance=0.02,
+        steps=int(draw.integers(100, 400)),
+        share_collision_free=float(draw.random()),
+        planning_time=time.perf_counter() % 1.0,
+        episode_time=0.1,
+        stage_times={"map": 0.01, "inference": 0.2},
+    )
+
+
+def fails_at_seed_two(key: EpisodeKey) -> EpisodeRow:
+    if key.seed == 2:
+        raise ValueError("a goal out of reach")
+    return fake_play(key)
+
+
+def is_killed_at_seed_two(key: EpisodeKey) -> EpisodeRow:
+    if key.seed == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return fake_play(key)
+
+
+def manifest(episodes: int = 4, **changes: Any) -> Manifest:
+    made = Manifest(("Placement",), ("smp", "promp"), "medium", 0, episodes, {"numpy": "2"}, "abc")
+    return dataclasses.replace(made, **changes)
+
+
+def without_times(folder: Path, rows: list[EpisodeRow]) -> list[dict[str, str]]:
+    write_csv(folder / "episodes.csv", rows)
+    with (folder / "episodes.csv").open() as file:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+
+
+# What is asked
+
+
+def test_every_method_plays_the_same_seeds() -> None:
+    keys = manifest(3, seed=10).episode_keys()
+    assert len(set(keys)) == len(keys) == 6
+    for method in ("smp", "promp"):
+        assert [key.seed for key in keys if key.method == method] == [10, 11, 12]
+
+
+def test_manifest_records_what_decides_the_rows() -> None:
+    import torch
+
+    made = runner.make_manifest(["Placement"], ["smp"], "easy", 5, 7)
+    assert made.versions["torch"] == torch.__version__
+    assert made.versions["numpy"] == np.__version__
+    assert made == runner.make_manifest(["Placement"], ["smp"], "easy", 5, 7)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((["Chess"], ["smp"], "easy", 0, 1), "unknown task 'Chess'; there are: Placement"),
+        ((["Placement"], ["spm"], "easy", 0, 1), "unknown method 'spm'; there are: smp, promp"),
+        ((["Placement"], ["smp"], "huge", 0, 1), "unknown difficulty 'huge'; there are: none"),
+        ((["Placement"], [], "easy", 0, 1), "at least one"),
+        ((["Placement"], ["smp", "smp"], "easy", 0, 1), "once"),
+        ((["Placement"], ["smp"], "easy", -1, 1), "seed must not be negative, got -1"),
+        ((["Placement"], ["smp"], "easy", 0, 0), "episodes must be at least 1, got 0"),
+    ],
+)
+def test_unknown_names_list_what_exists(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        runner.make_manifest(*arguments)
+
+
+# What is stored
+
+
+def test_rows_survive_the_disk(tmp_path: Path) -> None:
+    rows = [fake_play(key) for key in manifest().episode_keys()]
+    with EpisodeStore(tmp_path, manifest()) as store:
+        for row in rows:
+            store.append(row)
+    stored, back = read_results(tmp_path)
+    assert stored == manifest()
+    assert back == rows
+
+
+def test_csv_is_sorted_and_ends_with_the_times(tmp_path: Path) -> None:
+    keys = manifest().episode_keys()
+    write_csv(tmp_path / "rows.csv", [fake_play(key) for key in reversed(keys)])
+    with (tmp_path / "rows.csv").open() as file:
+        header, *rows = list(csv.reader(file))
+    assert tuple(header) == COLUMNS
+    assert tuple(header[-2:]) == TIMES
+    found = [(row[0], row[1], row[2], int(row[3])) for row in rows]
+    assert found == sorted((k.task, k.method, k.difficulty, k.seed) for k in keys)
+    assert float(rows[0][header.index("goal_error")]) == fake_play(min(keys)).goal_error
+
+
+def test_a_torn_last_line_is_played_again(tmp_path: Path) -> None:
+    keys = manifest().episode_keys()
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(fake_play(keys[0]))
+        store.append(fake_play(keys[1]))
+    path = tmp_path / "episodes.jsonl"
+    path.write_bytes(path.read_bytes()[:-20])
+    with EpisodeStore(tmp_path, manifest()) as store:
+        assert store.missing(keys) == keys[1:]
+        store.append(fake_play(keys[1]))
+    assert [row.key for row in read_results(tmp_path)[1]] == keys[:2]
+
+
+def test_a_damaged_line_is_named(tmp_path: Path) -> None:
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(fake_play(manifest().episode_keys()[0]))
+    with (tmp_path / "episodes.jsonl").open("a") as file:
+        file.write('{"task": "Placement"}\n')
+    with pytest.raises(ResultsError, match=r"episodes\.jsonl, line 2"):
+        EpisodeStore(tmp_path, manifest())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"difficulty": "hard"}, "difficulty: 'medium' there, 'hard' now"),
+        ({"seed": 1}, "seed: 0 there, 1 now"),
+        ({"methods": ("smp",)}, "methods"),
+        ({"versions": {"numpy": "3"}}, "version of numpy: 2 there, 3 now"),
+        ({"code": "xyz"}, "code: 'abc' there, 'xyz' now"),
+        ({"episodes": 3}, "episodes: 4 there, only 3 now"),
+    ],
+)
+def test_other_settings_are_refused_or_start_anew(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    row = fake_play(manifest().episode_keys()[0])
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(row)
+    with pytest.raises(ResultsError, match=message):
+        EpisodeStore(tmp_path, manifest(**change))
+    assert read_results(tmp_path) == (manifest(), [row])
+    with EpisodeStore(tmp_path, manifest(**change), restart=True) as store:
+        assert store.rows == []
+    assert read_results(tmp_path) == (manifest(**change), [])
+
+
+def test_restart_continues_where_the_settings_are_the_same(tmp_path: Path) -> None:
+    row = fake_play(manifest().episode_keys()[0])
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(row)
+    with EpisodeStore(tmp_path, manifest(), restart=True) as store:
+        assert store.rows == [row]
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    with (
+        EpisodeStore(tmp_path, manifest()),
+        pytest.raises(ResultsError, match="another run is writing"),
+    ):
+        EpisodeStore(tmp_path, manifest())
+    EpisodeStore(tmp_path, manifest()).close()
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": 99}', '{"format": 1, "a": 2}'])
+def test_a_damaged_manifest_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(ResultsError, match=r"manifest\.json is not a manifest"):
+        EpisodeStore(tmp_path, manifest())
+
+
+def test_no_results_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match="holds no results"):
+        read_results(tmp_path / "nowhere")
+
+
+# What is played
+
+
+def test_rows_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+    one = runner.run(manifest(), tmp_path / "one", jobs=1, player=fake_play)
+    two = runner.run(manifest(), tmp_path / "two", jobs=2, player=fake_play)
+    assert without_times(tmp_path / "one", one) == without_times(tmp_path / "two", two)
+    assert [row.key for row in one] == sorted(manifest().episode_keys())
+
+
+def test_workers_compute_on_one_thread(tmp_path: Path) -> None:
+    before = dict(os.environ)
+    (row,) = runner.run(manifest(1, methods=("smp",)), tmp_path, jobs=1, player=reports_threads)
+    assert row.message == "1 1"
+    assert dict(os.environ) == before
+
+
+def reports_threads(key: EpisodeKey) -> EpisodeRow:
+    import torch
+
+    message = f"{torch.get_num_threads()} {os.environ['OMP_NUM_THREADS']}"
+    return dataclasses.replace(fake_play(key), message=message)
+
+
+def test_a_run_continues_with_the_missing_episodes_only(tmp_path: Path) -> None:
+    runner.run(manifest(2), tmp_path, player=fake_play)
+    before = (tmp_path / "episodes.jsonl").read_bytes()
+    seen: list[tuple[int, int]] = []
+    rows = runner.run(
+        manifest(4), tmp_path, player=fake_play, on_progress=lambda *count: seen.append(count)
+    )
+    assert seen[0] == (4, 8)
+    assert seen[-1] == (8, 8)
+    assert (tmp_path / "episodes.jsonl").read_bytes().startswith(before)
+    assert len(rows) == 8
+    runner.run(manifest(4), tmp_path, player=is_killed_at_seed_two)
+
+
+def test_an_exception_names_the_episode_and_keeps_the_rest(tmp_path: Path) -> None:
+    with pytest.raises(runner.EpisodeFailedError, match=r"seed=2.*a goal out of reach"):
+        runner.run(manifest(), tmp_path, player=fails_at_seed_two)
+    kept = {row.seed for row in read_results(tmp_path)[1]}
+    assert {0, 1} <= kept
+    assert 2 not in kept
+    assert len(runner.run(manifest(), tmp_path, player=fake_play)) == 8
+
+
+def test_a_killed_worker_keeps_the_rows_and_says_how_to_go_on(tmp_path: Path) -> None:
+    with pytest.raises(runner.WorkerDiedError, match=r"are kept in .*same command continues"):
+        runner.run(manifest(), tmp_path, player=is_killed_at_seed_two)
+    assert {row.seed for row in read_results(tmp_path)[1]} >= {0}
+    assert len(runner.run(manifest(), tmp_path, player=fake_play)) == 8
+
+
+def test_jobs_must_be_positive(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="jobs must be at least 1, got 0"):
+        runner.run(manifest(), tmp_path, jobs=0)
+
+
+SLOW_RUN = """
+import sys
+
+sys.path[:0] = {paths!r}
+from pathlib import Path
+
+from smp_planner.benchmark import runner
+from test_benchmark import manifest, slow_play
+
+if __name__ == "__main__":
+    try:
+        runner.run(manifest(40), Path({out!r}), jobs=2, player=slow_play)
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+def slow_play(key: EpisodeKey) -> EpisodeRow:
+    time.sleep(0.3)
+    return fake_play(key)
+
+
+def test_ctrl_c_leaves_a_folder_that_can_be_continued(tmp_path: Path) -> None:
+    script = tmp_path / "slow.py"
+    out = tmp_path / "out"
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+    script.write_text(SLOW_RUN.format(paths=paths, out=str(out)))
+    process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
+    rows = out / "episodes.jsonl"
+    _wait_until(lambda: rows.exists() and rows.stat().st_size > 0, 60.0)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(timeout=30) == 130
+    kept = read_results(out)[1]
+    assert 1 <= len(kept) < 80
+    with EpisodeStore(out, manifest(40)) as store:
+        assert len(store.missing(manifest(40).episode_keys())) == 80 - len(kept)
+
+
+def _wait_until(condition: Callable[[], bool], seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.05)
+
+
+# What is summarised
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 7), (7, 7), (187, 200)])
+def test_rates_have_wilson_intervals(successes: int, count: int) -> None:
+    z = stats.norm.ppf(0.975)
+    p = successes / count
+    middle = (p + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * np.sqrt(p * (1 - p) / count + z**2 / (4 * count**2))
+    estimate = rate_interval(successes, count)
+    assert estimate["value"] == p
+    assert estimate["low"] == pytest.approx(middle - half, abs=1e-12)
+    assert estimate["high"] == pytest.approx(middle + half, abs=1e-12)
+
+
+def test_bootstrap_intervals_cover_the_mean_as_often_as_they_say() -> None:
+    draw = np.random.default_rng(0)
+    covered = 0
+    for _ in range(100):
+        estimate = mean_interval(draw.exponential(2.0, 60).tolist())
+        covered += estimate["low"] <= 2.0 <= estimate["high"]
+    assert 85 <= covered <= 100
+
+
+@pytest.mark.parametrize("values", [[3.0], [3.0, 3.0, 3.0]])
+def test_equal_values_have_an_interval_of_width_zero(values: list[float]) -> None:
+    estimate = mean_interval(values)
+    assert (estimate["value"], estimate["low"], estimate["high"]) == (3.0, 3.0, 3.0)
+
+
+def test_summary_counts_by_method_and_is_json() -> None:
+    rows = [fake_play(key) for key in manifest(30).episode_keys()]
+    summary = json.loads(json.dumps(summarise(manifest(30), rows), allow_nan=False))
+    assert [group["method"] for group in summary["groups"]] == ["smp", "promp"]
+    for group in summary["groups"]:
+        of_method = [row for row in rows if row.method == group["method"]]
+        assert group["episodes"] == 30
+        assert group["success"]["value"] == sum(row.success for row in of_method) / 30
+        errors = [row.goal_error for row in of_method]
+        assert group["goal_error"]["value"] == pytest.approx(np.mean(errors))
+        assert group["causes"] == {"collision": sum(row.collision for row in of_method)}
+        assert group["chosen_clearance"] is None
+
+
+def test_table_shows_every_group() -> None:
+    rows = [fake_play(key) for key in manifest(5).episode_keys()]
+    shown = table(summarise(manifest(5), rows))
+    assert len(shown.columns) == 3
+
+
+# What is typed
+
+
+def test_list_names_what_exists() -> None:
+    result = CliRunner().invoke(app, ["list"])
+    assert result.exit_code == 0
+    for name in ("Placement", "smp", "promp", "none", "easy", "medium", "hard", "100000"):
+        assert name in result.output
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--tasks", "Chess"], "there are: Placement"),
+        (["--methods", "smp,spm"], "there are: smp, promp"),
+        (["--difficulty", "huge"], "there are: none, easy, medium, hard"),
+        (["--episodes", "0"], "--episodes"),
+        (["--jobs", "0"], "--jobs"),
+    ],
+)
+def test_bad_options_are_answered_with_what_exists(
+    tmp_path: Path, options: list[str], message: str
+) -> None:
+    result = CliRunner().invoke(app, ["run", "--out", str(tmp_path / "out"), *options])
+    assert result.exit_code == 2
+    assert message in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_run_into_other_results_is_refused(tmp_path: Path) -> None:
+    with EpisodeStore(tmp_path, manifest()):
+        pass
+    result = CliRunner().invoke(app, ["run", "--out", str(tmp_path), "--episodes", "4"])
+    assert result.exit_code == 2
+    assert "other settings" in result.output
+
+
+def test_show_prints_the_table_of_an_unfinished_run(tmp_path: Path) -> None:
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(fake_play(manifest().episode_keys()[0]))
+    result = CliRunner().invoke(app, ["show", str(tmp_path)])
+    assert result.exit_code == 0
+    assert "success" in result.output
+    assert "unfinished: 1 of 8 episodes" in result.output
+    as_json = CliRunner().invoke(app, ["show", "--json", str(tmp_path)])
+    assert json.loads(as_json.output)["groups"][0]["episodes"] == 1
+
+
+def test_show_of_nothing_is_an_error(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["show", str(tmp_path / "nowhere")])
+    assert result.exit_code == 2
+    assert "holds no results" in result.output

@@ -1,0 +1,417 @@
+"""Costs and gradients against autograd through plain tensor code, finite differences and geometry."""
+
+import numpy as np
+import pytest
+import torch
+
+from smp_gym import kinematics
+from smp_gym.kinematics import SphereSet
+from smp_gym.scene import TABLE, Obstacle
+from smp_planner import compiled, costs
+from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
+from smp_planner.problem import GoalRegion
+from smp_planner.robot_model import RobotModel, jaco_model
+
+OBSTACLES = (
+    TABLE,
+    Obstacle(shape="box", position=(0.4, 0.1, 0.2), size=(0.05, 0.06, 0.2)),
+    Obstacle(shape="sphere", position=(0.2, -0.4, 0.5), size=(0.06, 0.06, 0.06)),
+    Obstacle(shape="cylinder", position=(-0.3, 0.2, 0.4), size=(0.04, 0.04, 0.1)),
+)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return jaco_model(kinematics.finger_spheres(np.array([0.3, 0.4, 0.2, 0.1])))
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return bake_analytic(OBSTACLES, spacing=0.04)
+
+
+def trajectories(robot, particles=6, steps=12, seed=3):
+    """Smooth paths all over the range of the joints, so that many spheres are in collision."""
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(robot.lower, robot.upper, (2, particles, 1, robot.joints))
+    phase = np.linspace(0.0, 1.0, steps)[None, :, None]
+    return ends[0] + 0.4 * (ends[1] - ends[0]) * phase**2
+
+
+def numerical(cost, q, step=1e-6):
+    """Derivative of a cost along 8 random directions, and the directions."""
+    directions = np.random.default_rng(4).normal(size=(8, *q.shape))
+    return directions, np.stack(
+        [(cost(q + step * d)[0] - cost(q - step * d)[0]) / (2 * step) for d in directions]
+    )
+
+
+def assert_gradient(cost, q, rtol=1e-5):
+    directions, expected = numerical(cost, q)
+    value, gradient = cost(q)
+    assert value.shape == (len(q),)
+    assert gradient.shape == q.shape
+    assert np.abs(expected).max() > 0.0
+    found = (directions * gradient).sum(axis=(2, 3))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=rtol * np.abs(expected).max())
+
+
+def autograd(cost, q):
+    tensor = torch.as_tensor(q).requires_grad_()
+    value = cost(tensor)
+    (gradient,) = torch.autograd.grad(value.sum(), tensor)
+    return value.detach().numpy(), gradient.numpy()
+
+
+def sampled(grid, points):
+    """Trilinear interpolation by another library: (P,T,S,3) m to (P,T,S) m."""
+    values = torch.as_tensor(grid.values, dtype=torch.float64)
+    extent = grid.spacing * (torch.as_tensor(values.shape, dtype=torch.float64) - 1)
+    unit = 2 * (points - torch.as_tensor(grid.origin)) / extent - 1
+    flat = torch.nn.functional.grid_sample(
+        values[None, None],
+        unit.flip(-1).reshape(1, 1, 1, -1, 3),
+        mode="bilinear",
+        padding_mode="border",
+        align_corners=True,
+    )
+    return flat.reshape(points.shape[:-1])
+
+
+@pytest.mark.parametrize(("edge_width", "margin"), [(0.05, 0.01), (0.01, 0.01), (0.02, -0.01)])
+def test_collision_cost_is_eq_12(robot, grid, edge_width, margin):
+    moving = robot.link > 0
+    radius = torch.as_tensor(robot.radius[moving])
+    truncation = torch.as_tensor(float(grid.values.max()), dtype=torch.float64)
+    reach = torch.minimum(truncation, radius + margin + costs.REACH * edge_width)
+
+    def squared(distance):
+        return torch.sigmoid(-(distance - radius - margin) / edge_width) ** 2
+
+    def oracle(q):
+        distance = sampled(grid, robot.sphere_centers(q)[:, :, moving])
+        excess = torch.clamp(squared(distance) - squared(reach), min=0.0)
+        return excess.sum(dim=(1, 2)) * costs.REFERENCE_STEPS / q.shape[1]
+
+    q = trajectories(robot)
+    value, gradient = costs.CollisionCost(robot, grid)(q, edge_width, margin)
+    expected_value, expected_gradient = autograd(oracle, q)
+    assert (expected_value > 1.0).any()
+    np.testing.assert_allclose(value, expected_value, rtol=1e-9)
+    scale = np.abs(expected_gradient).max()
+    np.testing.assert_allclose(gradient, expected_gradient, rtol=0, atol=1e-9 * scale)
+
+
+def test_collision_gradient_by_finite_differences(robot, grid):
+    cost = costs.CollisionCost(robot, grid)
+    # Few steps: where a sphere goes from one cell to the next the interpolant has an edge, which
+    # finite differences must not meet.
+    assert_gradient(lambda q: cost(q, 0.03, 0.0), trajectories(robot, 8, 1), rtol=1e-5)
+
+
+def test_nothing_near_costs_exactly_nothing(robot):
+    far = bake_analytic([Obstacle(shape="sphere", position=(9.0, 0.0, 0.0), size=(0.1,) * 3)])
+    value, gradient = costs.CollisionCost(robot, far)(trajectories(robot), 0.05, 0.01)
+    assert (value == 0.0).all()
+    assert (gradient == 0.0).all()
+
+
+def test_the_mount_may_stand_on_the_table(robot):
+    grid = bake_analytic([TABLE])
+    base = SphereSet(np.array([0]), np.array([[0.0, 0.0, -0.05]]), np.array([0.1]))
+    cost = costs.CollisionCost(
+        RobotModel(
+            robot.base,
+            robot.joint_origins,
+            robot.end_effector,
+            robot.lower,
+            robot.upper,
+            robot.velocity,
+            base,
+            np.empty((0, 2), np.int64),
+        ),
+        grid,
+    )
+    value, _ = cost(trajectories(robot))
+    assert (value == 0.0).all()
+    assert cost.summed_spheres == 0
+
+
+def test_collision_cost_falls_along_its_gradient(robot, grid):
+    cost = costs.CollisionCost(robot, grid)
+    q = trajectories(robot)
+    value, gradient = cost(q, 0.05, 0.01)
+    norm = np.sqrt(np.square(gradient).sum(axis=(1, 2), keepdims=True))
+    hit = value > 1.0
+    after, _ = cost(q - 1e-3 * gradient / np.maximum(norm, 1e-12), 0.05, 0.01)
+    assert hit.any()
+    assert (after < value)[hit].all()
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 6), (14, 8, 13)])
+def test_blocks_hold_the_least_value_of_their_cells(shape):
+    values = np.random.default_rng(5).normal(size=shape).astype(np.float32)
+    blocks = compiled.least_of_blocks(values)
+    size = compiled.BLOCK
+    assert blocks.shape == tuple(-(-(n - 1) // size) for n in shape)
+    for index in np.ndindex(blocks.shape):
+        nodes = tuple(slice(size * i, size * i + size + 1) for i in index)
+        assert blocks[index] == values[nodes].min()
+
+
+def test_spheres_outside_the_grid_take_its_boundary(robot):
+    values = np.full((3, 3, 3), 0.02, np.float32)
+    grid = DistanceGrid(np.full(3, 5.0), 0.1, values)
+    cost = costs.CollisionCost(robot, grid)
+    value, gradient = cost(trajectories(robot), 0.01, 0.0)
+    # The map is constant, hence cut off where it is: no sphere is nearer than from far away.
+    assert (value == 0.0).all()
+    assert (gradient == 0.0).all()
+
+
+def test_self_collision_cost(robot):
+    edge_width, margin = 0.01, 0.005
+    pairs = torch.as_tensor(robot.collision_pairs)
+    both = torch.as_tensor(robot.radius)[pairs].sum(dim=1)
+
+    def squared(gap):
+        return torch.sigmoid(-(gap - margin) / edge_width) ** 2
+
+    def oracle(q):
+        centers = robot.sphere_centers(q)
+        gap = (centers[:, :, pairs[:, 0]] - centers[:, :, pairs[:, 1]]).norm(dim=-1) - both
+        reach = torch.as_tensor(margin + costs.REACH * edge_width, dtype=torch.float64)
+        excess = torch.clamp(squared(gap) - squared(reach), min=0.0)
+        return excess.sum(dim=(1, 2)) * costs.REFERENCE_STEPS / q.shape[1]
+
+    q = trajectories(robot, particles=20)
+    value, gradient = costs.SelfCollisionCost(robot, edge_width, margin)(q)
+    expected_value, expected_gradient = autograd(oracle, q)
+    assert (expected_value > 1.0).any()
+    np.testing.assert_allclose(value, expected_value, rtol=1e-9, atol=1e-12)
+    scale = np.abs(expected_gradient).max()
+    np.testing.assert_allclose(gradient, expected_gradient, rtol=0, atol=1e-9 * scale)
+
+
+def test_joint_limit_cost(robot):
+    cost = costs.JointLimitCost(robot.lower, robot.upper, margin=0.1)
+    q = trajectories(robot)
+    q[0, 3, 1] = robot.upper[1] + 0.2
+    q[1, 5, 2] = robot.lower[2] - 0.5
+    assert_gradient(cost, q)
+    inside = np.tile((robot.lower + robot.upper) / 2, (1, 4, 1))
+    inside[0, 2, 4] = robot.upper[4] + 0.3
+    np.testing.assert_allclose(cost(inside)[0], costs.REFERENCE_STEPS / 4 * 0.4**2)
+
+
+def test_velocity_limit_cost(robot):
+    q = trajectories(robot)
+    assert_gradient(costs.VelocityLimitCost(robot.velocity, 2.0), q)
+    # Joint 0 turns evenly at 1.5 times what is allowed, the others stand.
+    cost = costs.VelocityLimitCost(np.array([0.6, 0.6]), duration=10.0, fraction=0.9)
+    line = np.zeros((1, 21, 2))
+    line[0, :, 0] = np.linspace(0.0, -1.5 * 0.9 * 0.6 * 10.0, 21)
+    np.testing.assert_allclose(cost(line)[0], costs.REFERENCE_STEPS * 0.5**2)
+    value, gradient = cost(line / 1.6)
+    assert value == 0.0
+    assert (gradient == 0.0).all()
+
+
+def test_duration_cost(robot):
+    q = trajectories(robot)
+    assert_gradient(costs.DurationCost(robot.velocity, 2.0), q)
+    # One second of joint 0, then two of joint 1.
+    cost = costs.DurationCost(np.array([0.5, 0.25]), duration=2.0, fraction=1.0)
+    corner = np.array([[[0.0, 0.0], [0.5, 0.1], [0.4, -0.4]]])
+    np.testing.assert_allclose(cost(corner)[0], (3.0 / 2.0 - 1.0) ** 2)
+    value, gradient = cost(corner / 2)
+    assert value == 0.0
+    assert (gradient == 0.0).all()
+
+
+def test_via_point_cost_is_a_gaussian():
+    rng = np.random.default_rng(6)
+    q, targets, sigma = rng.normal(size=(4, 9, 3)), rng.normal(size=(3, 3)), np.array([0.1, 0.2, 3])
+    cost = costs.ViaPointCost((2, -1, 2), targets, sigma)
+    density = torch.distributions.Normal(torch.as_tensor(targets), torch.as_tensor(sigma))
+    peak = density.log_prob(density.mean).sum()
+    expected = peak - density.log_prob(torch.as_tensor(q[:, [2, 8, 2]])).sum(dim=(1, 2))
+    np.testing.assert_allclose(cost(q)[0], expected.numpy())
+    assert_gradient(cost, q)
+
+
+def test_carried_via_point_cost(robot):
+    q = trajectories(robot)
+    point = np.array([0.02, 0.01, -0.03])
+    cost = costs.carried_via_point_cost(robot, point, (4, -1), (0.3, 0.2, 0.1), 0.05)
+    assert_gradient(cost, q)
+    pose = kinematics.end_effector_pose(q[:, [4, 11]])
+    error = pose[..., :3, :3] @ point + pose[..., :3, 3] - (0.3, 0.2, 0.1)
+    expected = np.square(error).sum(axis=(1, 2)) / (2 * 0.05**2)
+    np.testing.assert_allclose(cost(q)[0], expected)
+
+
+def test_carried_box_cost(robot):
+    q = trajectories(robot)
+    point = np.array([0.02, 0.01, -0.03])
+    pose = kinematics.end_effector_pose(q[:, [0, 7]])
+    carried = pose[..., :3, :3] @ point + pose[..., :3, 3]
+    lower, upper = np.array([-0.1, -0.2, 0.2]), np.array([0.1, 0.1, 0.5])
+    sigma = np.array([0.1, 0.2, 0.3])
+    cost = costs.CarriedBoxCost(robot, point, (0, 7), lower, upper, sigma)
+    beyond = np.maximum(np.maximum(lower - carried, carried - upper), 0.0)
+    np.testing.assert_allclose(
+        cost(q)[0], np.square(beyond / sigma).sum(axis=(1, 2)) / 2, atol=1e-12
+    )
+    assert_gradient(cost, q)
+    around = costs.CarriedBoxCost(robot, point, 7, carried[2, 1] - 0.01, carried[2, 1] + 0.01, 0.1)
+    value, gradient = around(q)
+    assert value[2] == 0.0
+    assert (gradient[2] == 0.0).all()
+
+
+def test_goal_cost_is_a_mixture(robot):
+    q = trajectories(robot)
+    points = np.array([[0.02, 0.01, -0.03], [0.05, 0.0, 0.0]])
+    means = np.array([[0.3, 0.2, 0.1], [0.2, -0.4, 0.3]])
+    shares, sigma = np.array([1.0, 3.0]), 0.3
+    goals = tuple(GoalRegion(p, m, m) for p, m in zip(points, means, strict=True))
+    cost = costs.GoalCost(robot, goals, sigma, tuple(shares))
+
+    pose = kinematics.end_effector_pose(q[:, -1])
+    carried = np.einsum("pij,hj->phi", pose[:, :3, :3], points) + pose[:, None, :3, 3]
+    mixture = torch.distributions.Categorical(torch.as_tensor(shares))
+    normal = torch.distributions.Normal(torch.as_tensor(means), sigma)
+    log_density = torch.logsumexp(
+        mixture.logits + normal.log_prob(torch.as_tensor(carried)).sum(dim=2), dim=1
+    )
+    constant = 3 * torch.distributions.Normal(0.0, sigma).log_prob(torch.tensor(0.0))
+    np.testing.assert_allclose(cost(q)[0], (constant - log_density).numpy(), rtol=1e-6)
+    assert_gradient(cost, q)
+
+
+def test_one_goal_is_a_smooth_box(robot):
+    q = trajectories(robot)
+    region = GoalRegion((0.02, 0.0, 0.0), (0.1, -0.3, 0.0), (0.3, 0.3, 0.2))
+    value, gradient = costs.GoalCost(robot, (region,), 0.02)(q)
+    box = costs.CarriedBoxCost(robot, region.point, -1, region.lower, region.upper, 0.02)
+    expected_value, expected_gradient = box(q)
+    assert (expected_value > 0.0).any()
+    np.testing.assert_allclose(value, expected_value)
+    np.testing.assert_allclose(gradient, expected_gradient)
+
+
+def test_far_from_every_goal_the_gradient_is_finite(robot):
+    goals = tuple(GoalRegion(np.zeros(3), (x, 0, 0), (x, 0, 0)) for x in (50.0, 60.0))
+    value, gradient = costs.GoalCost(robot, goals, 1e-3)(trajectories(robot))
+    assert np.isfinite(value).all()
+    assert np.isfinite(gradient).all()
+
+
+def path_costs(robot, grid):
+    collision = costs.CollisionCost(robot, grid)
+    return {
+        "collision": lambda q: collision(q, 0.03, 0.01),
+        "self-collision": costs.SelfCollisionCost(robot, 0.02, 0.01),
+        "joint limits": costs.JointLimitCost(robot.lower, robot.upper, 0.5),
+        "velocity limits": costs.VelocityLimitCost(robot.velocity, 1.0),
+        "duration": costs.DurationCost(robot.velocity, 1.0),
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["collision", "self-collision", "joint limits", "velocity limits", "duration"]
+)
+def test_a_weight_means_the_same_for_every_number_of_steps(robot, grid, name):
+    cost = path_costs(robot, grid)[name]
+    coarse, _ = cost(trajectories(robot, particles=12, steps=200))
+    fine, _ = cost(trajectories(robot, particles=12, steps=800))
+    assert (coarse > 0.1).any()
+    np.testing.assert_allclose(coarse, fine, rtol=0.03, atol=0.02 * coarse.max())
+
+
+def test_a_number_of_steps_at_rest_does_not_matter(robot, grid):
+    q = trajectories(robot, steps=1)
+    cost = costs.CollisionCost(robot, grid)
+    one, _ = cost(q)
+    many, _ = cost(np.repeat(q, 37, axis=1))
+    assert (one > 0.1).any()
+    np.testing.assert_allclose(one, many)
+
+
+def test_arguments_are_not_changed(robot, grid):
+    q = trajectories(robot)
+    before = q.copy()
+    for cost in path_costs(robot, grid).values():
+        cost(q)
+    np.testing.assert_array_equal(q, before)
+
+
+def test_lists_and_single_precision_are_taken(robot, grid):
+    q = trajectories(robot).astype(np.float32)
+    cost = costs.CollisionCost(robot, grid)
+    value, gradient = cost(q)
+    assert value.dtype == gradient.dtype == np.float64
+    np.testing.assert_array_equal(cost(q.tolist())[0], value)
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        (np.zeros((3, 6)), r"trajectories must have shape \(P, T, 6\), got \(3, 6\)"),
+        (np.zeros((2, 3, 5)), r"trajectories must have shape \(P, T, 6\), got \(2, 3, 5\)"),
+        (np.zeros((2, 0, 6)), "got \\(2, 0, 6\\)"),
+        (np.full((2, 3, 6), np.nan), "got nan in particle 0, step 0, joint 0"),
+        (np.full((2, 3, 6), np.inf), "trajectories must be finite, got inf"),
+    ],
+)
+def test_bad_trajectories_are_refused(robot, grid, q, message):
+    region = GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))
+    for cost in (
+        *path_costs(robot, grid).values(),
+        costs.ViaPointCost(0, np.zeros(6), 1.0),
+        costs.CarriedBoxCost(robot, np.zeros(3), 0, np.zeros(3), np.ones(3), 1.0),
+        costs.GoalCost(robot, (region,), 1.0),
+    ):
+        with pytest.raises(ValueError, match=message):
+            cost(q)
+
+
+def test_bad_settings_are_refused(robot, grid):
+    q = trajectories(robot)
+    collision = costs.CollisionCost(robot, grid)
+    region = GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))
+    zeros = np.zeros(3)
+    for make, message in (
+        (lambda: collision(q, 0.0), "edge_width must be positive, got 0.0"),
+        (lambda: collision(q, np.nan), "edge_width must be positive, got nan"),
+        (lambda: collision(q, 0.01, np.inf), "margin must be finite, got inf"),
+        (lambda: costs.SelfCollisionCost(robot, -1.0), "edge_width must be positive, got -1.0"),
+        (lambda: costs.SelfCollisionCost(robot, 0.01, -0.1), "margin must be above -0.06"),
+        (lambda: costs.JointLimitCost(zeros, zeros), "leave no room"),
+        (lambda: costs.JointLimitCost(zeros, np.ones(2)), r"got \(3,\) and \(2,\)"),
+        (lambda: costs.VelocityLimitCost(zeros, 1.0), "velocity must be"),
+        (lambda: costs.VelocityLimitCost(np.ones(6), 0.0), "duration must be positive, got 0.0"),
+        (lambda: costs.DurationCost(np.ones(6), 1.0, -1.0), "fraction must be positive"),
+        (lambda: costs.DurationCost(np.ones(6), 1.0)(q[:, :1]), "at least 2 steps, got 1"),
+        (lambda: costs.ViaPointCost(0.5, zeros, 1.0), "steps must be one or more integers"),
+        (lambda: costs.ViaPointCost((), zeros, 1.0), "steps must be one or more integers"),
+        (lambda: costs.ViaPointCost((0, 1), np.zeros((3, 6)), 1.0), "targets must have shape"),
+        (lambda: costs.ViaPointCost(0, zeros, 0.0), "sigma must be a positive number"),
+        (lambda: costs.ViaPointCost(0, zeros, (1.0, 2.0)), "sigma must be a positive number"),
+        (lambda: costs.ViaPointCost(0, np.full(3, np.nan), 1.0), "targets must be finite"),
+        (lambda: costs.ViaPointCost(12, np.zeros(6), 1.0)(q), r"steps must lie in \[-12, 12\)"),
+        (
+            lambda: costs.CarriedBoxCost(robot, zeros, 0, np.ones(3), zeros, 1.0),
+            "must not exceed upper",
+        ),
+        (
+            lambda: costs.CarriedBoxCost(robot, np.zeros(2), 0, zeros, zeros, 1.0),
+            "point must have shape",
+        ),
+        (lambda: costs.GoalCost(robot, (), 1.0), "at least one GoalRegion"),
+        (lambda: costs.GoalCost(robot, (region,), 1.0, (0.0,)), "shares must be 1 positive"),
+        (lambda: costs.GoalCost(robot, (region,), 1.0, (1.0, 1.0)), "shares must be 1 positive"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
