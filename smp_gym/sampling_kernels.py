@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 
 __all__ = [
     "OBSTACLE_COLUMNS",
+    "best_pair",
     "blocked_paths",
-    "path_clearance",
+    "path_clearances",
     "point_distance",
+    "longest_steps",
+    "packed",
     "rasterised",
     "self_clearance",
     "sphere_paths",
@@ -122,37 +125,35 @@ def _bounding_radius(obstacle: Array) -> float:
 
 
 @njit(cache=True)
-def path_clearance(centers: Array, radius: Array, obstacles: Array, enough: float) -> float:
-    """Return the least distance between spheres on a path and obstacles.
+def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: float) -> Array:
+    """Return the least distance between spheres on a path and each obstacle.
 
     Args:
         centers: (T, S, 3).
         radius: (S,).
         obstacles: (M, 9) rows.
-        enough: distances above need not be exact: the result is then `enough`.
+        enough: greater distances are given as this.
 
     Returns:
-        The least distance (negative where they overlap), at most `enough`.
+        (M,), negative where they overlap.
     """
-    least = enough
+    out = np.full(len(obstacles), enough)
     for m in range(len(obstacles)):
         obstacle = obstacles[m]
         bound = _bounding_radius(obstacle)
         for t in range(centers.shape[0]):
             for s in range(centers.shape[1]):
-                reach = least + radius[s]
-                far = reach + bound
+                far = out[m] + radius[s] + bound
                 dx = centers[t, s, 0] - obstacle[1]
                 dy = centers[t, s, 1] - obstacle[2]
                 dz = centers[t, s, 2] - obstacle[3]
                 if far <= 0.0 or dx * dx + dy * dy + dz * dz > far * far:
                     continue
-                distance = (
-                    point_distance(centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle)
-                    - radius[s]
+                distance = point_distance(
+                    centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
                 )
-                least = min(least, distance)
-    return least
+                out[m] = min(out[m], distance - radius[s])
+    return out
 
 
 @njit(cache=True)
@@ -193,7 +194,7 @@ def blocked_paths(
     Args:
         centers: (N, T, S, 3).
         radius: (S,).
-        steps: (N,) longest way of any sphere between two samples of each path.
+        steps: (N,) from `longest_steps`.
         obstacles: (M, 9) rows.
         depth: how deep an obstacle must reach into a sphere to block it; guards against calling
             blocked what only the cover of spheres touches.
@@ -205,6 +206,20 @@ def blocked_paths(
     for m in range(len(obstacles)):
         for n in range(len(centers)):
             out[m, n] = _blocked(centers[n], radius, steps[n], obstacles[m], depth)
+    return out
+
+
+@njit(cache=True)
+def longest_steps(centers: Array) -> Array:
+    """Return the longest way of any sphere between two samples, (N,), of (N, T, S, 3) paths."""
+    out = np.full(len(centers), 1e-9)
+    for n in range(centers.shape[0]):
+        for t in range(1, centers.shape[1]):
+            for s in range(centers.shape[2]):
+                dx = centers[n, t, s, 0] - centers[n, t - 1, s, 0]
+                dy = centers[n, t, s, 1] - centers[n, t - 1, s, 1]
+                dz = centers[n, t, s, 2] - centers[n, t - 1, s, 2]
+                out[n] = max(out[n], math.sqrt(dx * dx + dy * dy + dz * dz))
     return out
 
 
@@ -244,11 +259,11 @@ def rasterised(
         shape: (X, Y, Z) points along each axis.
 
     Returns:
-        (X, Y, Z, ceil(N / 64)), a bit for each path: set where one of its spheres covers the point.
-        A sphere is drawn again only when it has moved by half the spacing.
+        (ceil(N / 64), X, Y, Z), a bit for each path: set where one of its spheres covers the
+        point. A sphere is drawn again only when it has moved by half the spacing.
     """
     count, samples, spheres, _ = centers.shape
-    grid = np.zeros((shape[0], shape[1], shape[2], (count + 63) // 64), np.uint64)
+    grid = np.zeros(((count + 63) // 64, shape[0], shape[1], shape[2]), np.uint64)
     for n in range(count):
         word = n // 64
         bit = np.uint64(1) << np.uint64(n % 64)
@@ -275,7 +290,7 @@ def rasterised(
                         first = max(0, math.ceil(z - high))
                         last = min(shape[2], int(z + high) + 1)
                         for k in range(first, last):
-                            grid[i, j, k, word] |= bit
+                            grid[word, i, j, k] |= bit
     return grid
 
 
@@ -291,7 +306,7 @@ def touched(
     """Return which of the paths in a grid come near which obstacles.
 
     Args:
-        grid: (X, Y, Z, words), from `rasterised`.
+        grid: (words, X, Y, Z), from `rasterised`.
         origin: (3,) first point of the grid.
         spacing: between neighbouring points.
         obstacles: (M, 9) rows.
@@ -303,7 +318,7 @@ def touched(
         (M, count).
     """
     out = np.zeros((len(obstacles), count), np.bool_)
-    words = np.zeros(grid.shape[3], np.uint64)
+    words = np.zeros(grid.shape[0], np.uint64)
     low = np.zeros(3, np.int64)
     high = np.zeros(3, np.int64)
     for m in range(len(obstacles)):
@@ -315,7 +330,7 @@ def touched(
             reach = (obstacle[8] if axis == 2 else flat) + distance
             middle = obstacle[1 + axis] - origin[axis]
             low[axis] = max(0, math.ceil((middle - reach) / spacing))
-            high[axis] = min(grid.shape[axis], int((middle + reach) / spacing) + 1)
+            high[axis] = min(grid.shape[axis + 1], int((middle + reach) / spacing) + 1)
         words[:] = 0
         for i in range(low[0], high[0]):
             for j in range(low[1], high[1]):
@@ -328,7 +343,60 @@ def touched(
                     )
                     if d <= distance:
                         for w in range(len(words)):
-                            words[w] |= grid[i, j, k, w]
+                            words[w] |= grid[w, i, j, k]
         for n in range(count):
             out[m, n] = (words[n // 64] >> np.uint64(n % 64)) & np.uint64(1)
     return out
+
+
+@njit(cache=True)
+def packed(flags: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Return (M, N) flags as (M, ceil(N / 64)) words of bits."""
+    out = np.zeros((flags.shape[0], (flags.shape[1] + 63) // 64), np.uint64)
+    for m in range(flags.shape[0]):
+        for n in range(flags.shape[1]):
+            if flags[m, n]:
+                out[m, n // 64] |= np.uint64(1) << np.uint64(n % 64)
+    return out
+
+
+@njit(cache=True)
+def _ones(word: np.uint64) -> np.uint64:
+    """Return how many bits of a word are set (the parallel sum of Knuth, TAOCP 7.1.3)."""
+    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    low = np.uint64(0x3333333333333333)
+    word = (word & low) + ((word >> np.uint64(2)) & low)
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
+
+
+@njit(cache=True)
+def best_pair(
+    blocks: NDArray[np.uint64], clears: NDArray[np.uint64], allowed: NDArray[np.bool_]
+) -> tuple[int, int]:
+    """Return the two obstacles that together block most and both clear somebody.
+
+    Args:
+        blocks: (M, V) words, bit 0 of which must be set in one of the two.
+        clears: (M, W) words, which must have a bit in common.
+        allowed: (M, M), which pairs may be chosen at all.
+
+    Returns:
+        The first of the best pairs, (-1, -1) if there is none.
+    """
+    best, first, second = -1, -1, -1
+    for i in range(len(blocks)):
+        for j in range(i):
+            if not allowed[i, j] or not (blocks[i, 0] | blocks[j, 0]) & np.uint64(1):
+                continue
+            total = np.uint64(0)
+            for v in range(blocks.shape[1]):
+                total += _ones(blocks[i, v] | blocks[j, v])
+            if np.int64(total) <= best:
+                continue
+            common = False
+            for w in range(clears.shape[1]):
+                common = common or (clears[i, w] & clears[j, w]) != np.uint64(0)
+            if common:
+                best, first, second = np.int64(total), i, j
+    return first, second

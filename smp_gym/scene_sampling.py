@@ -55,21 +55,23 @@ class DifficultySpecification:
 
     Attributes:
         obstacles: how many.
+        on_table: how many of them must stand on the table; the others stand or float.
         clearance: m, what every obstacle leaves between itself and the witness's spheres.
         free_share: share of the proposals that may stay free; where more do, the draw is repeated
             a few times and the best kept.
     """
 
     obstacles: int
+    on_table: int
     clearance: float
     free_share: float
 
 
 SPECIFICATIONS = {
-    "none": DifficultySpecification(obstacles=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(obstacles=2, clearance=0.040, free_share=0.01),
-    "medium": DifficultySpecification(obstacles=4, clearance=0.030, free_share=0.0),
-    "hard": DifficultySpecification(obstacles=6, clearance=0.020, free_share=0.0),
+    "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
+    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.01),
+    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.0),
+    "hard": DifficultySpecification(obstacles=6, on_table=2, clearance=0.020, free_share=0.0),
 }
 """Difficulties by name."""
 
@@ -115,8 +117,8 @@ _CANDIDATES = 1200
 _PAIRED_CANDIDATES = 200
 
 _GRID_ORIGIN = np.array([-0.2, -0.9, 0.0])
-_GRID_SPACING = 0.03
-_GRID_SHAPE = (41, 61, 38)
+_GRID_SPACING = 0.04
+_GRID_SHAPE = (31, 46, 29)
 """Grid of points (m) on which candidates are compared; it holds all that the arm can reach in front
 of it. What is chosen is checked without the grid."""
 
@@ -294,7 +296,7 @@ class _Family:
         numbers: (M, F, 6) standard normal numbers, times the width, of the detours.
         paths: (N, T, S, 3) m, centres of the moving spheres; N = 1 + demonstrations + M.
         radius: (S,) m.
-        steps: (N,) m, longest way of any sphere between two samples.
+        grid: which members sweep over which grid points.
         proposals: how many, from the first, a primitive would propose.
         free: (N,) whether table and bin leave a member free.
         able: (N,) whether a member may serve as witness, as far as seen from these samples.
@@ -305,20 +307,32 @@ class _Family:
     numbers: FloatArray
     paths: FloatArray
     radius: FloatArray
-    steps: FloatArray
+    grid: NDArray[np.uint64]
     proposals: int
     free: BoolArray
     able: BoolArray
 
+    def near(self, rows: FloatArray, distance: float) -> BoolArray:
+        """Return (C, N), which members come within a distance (m) of which obstacles."""
+        return _near(self.grid, rows, distance, len(self.paths))
+
+
+def _near(grid: NDArray[np.uint64], rows: FloatArray, distance: float, members: int) -> BoolArray:
+    return sampling_kernels.touched(grid, _GRID_ORIGIN, _GRID_SPACING, rows, distance, members)
+
 
 def _draw_family(
-    task: _Task, goal: Goal, configuration: FloatArray, rng: np.random.Generator
+    task: _Task,
+    goal: Goal,
+    configuration: FloatArray,
+    proposals: int,
+    wide: int,
+    rng: np.random.Generator,
 ) -> _Family:
     demonstrations = len(task.demonstrations)
-    detours = _PROPOSALS + _WIDE
-    base = rng.integers(demonstrations, size=detours)
-    numbers = rng.standard_normal((detours, _detour_basis(_FAMILY_SAMPLES).shape[1], 6))
-    numbers[_PROPOSALS:] *= rng.uniform(1.0, _WIDEST, size=(_WIDE, 1, 1))
+    base = rng.integers(demonstrations, size=proposals + wide)
+    numbers = rng.standard_normal((len(base), _detour_basis(_FAMILY_SAMPLES).shape[1], 6))
+    numbers[proposals:] *= rng.uniform(1.0, _WIDEST, size=(wide, 1, 1))
     carried = _carry(task, configuration, _FAMILY_SAMPLES)
     mean = carried.mean(axis=0, keepdims=True)
     trajectories = np.concatenate(
@@ -326,14 +340,13 @@ def _draw_family(
     )
     paths = task.paths(trajectories, task.moving)
     radius = task.spheres.radius[task.moving]
-    steps = np.sqrt((np.diff(paths, axis=1) ** 2).sum(axis=-1)).max(axis=(1, 2)) + 1e-9
+    grid = sampling_kernels.rasterised(paths, radius, _GRID_ORIGIN, _GRID_SPACING, _GRID_SHAPE)
     height = (paths[..., 2] - radius).min(axis=(1, 2))
     # The bin counts as solid here: its thin walls would fall through the grid.
-    box = np.array([_solid_bin(goal)])
+    solid = np.array([_solid_bin(goal)])
 
     def clear(distance: float) -> BoolArray:
-        hit = sampling_kernels.blocked_paths(paths, radius, steps, box, -distance)[0]
-        return ~hit & (height > distance)
+        return ~_near(grid, solid, distance, len(paths))[0] & (height > distance)
 
     return _Family(
         configuration=configuration,
@@ -341,8 +354,8 @@ def _draw_family(
         numbers=numbers,
         paths=paths,
         radius=radius,
-        steps=steps,
-        proposals=1 + demonstrations + _PROPOSALS,
+        grid=grid,
+        proposals=1 + demonstrations + proposals,
         free=clear(-_BLOCKING_DEPTH),
         able=clear(_FIXTURE_CLEARANCE) & _within_limits(trajectories),
     )
@@ -380,12 +393,12 @@ def _is_witness(
         return False
     path = task.paths(trajectory)
     radius = task.spheres.radius
-    if sampling_kernels.path_clearance(path, radius, rows, 1.0) < clearance:
+    if (sampling_kernels.path_clearances(path, radius, rows, 1.0) < clearance).any():
         return False
     # The arm's base stands on the table: only the moving spheres have to keep clear of it.
     moving = np.ascontiguousarray(path[:, task.moving])
-    margin = sampling_kernels.path_clearance(moving, radius[task.moving], bodies, 1.0)
-    if margin < _FIXTURE_CLEARANCE:
+    margins = sampling_kernels.path_clearances(moving, radius[task.moving], bodies, 1.0)
+    if (margins < _FIXTURE_CLEARANCE).any():
         return False
     return bool(sampling_kernels.self_clearance(path, radius, task.pairs) >= _SELF_CLEARANCE)
 
@@ -458,11 +471,8 @@ def _draw_candidates(
     aside = np.abs(position[:, :2] - np.asarray(goal.position[:2])).max(axis=1)
     rows = rows[(position[:, 2] >= size[:, 2]) & (aside >= half + _widths(rows))]
     start, radius = task.paths(task.start[None]), task.spheres.radius
-    clear = [
-        sampling_kernels.path_clearance(start, radius, rows[c : c + 1], 1.0) >= _START_CLEARANCE
-        for c in range(len(rows))
-    ]
-    return rows[np.array(clear, bool)]
+    clear = sampling_kernels.path_clearances(start, radius, rows, 1.0) >= _START_CLEARANCE
+    return rows[clear]
 
 
 def _apart(rows: FloatArray, others: FloatArray) -> BoolArray:
@@ -474,7 +484,12 @@ def _apart(rows: FloatArray, others: FloatArray) -> BoolArray:
     return beside
 
 
-def _choose(rows: FloatArray, blocks: BoolArray, clears: BoolArray, count: int) -> list[int] | None:
+def _choose(
+    rows: FloatArray,
+    blocks: BoolArray,
+    clears: BoolArray,
+    specification: DifficultySpecification,
+) -> list[int] | None:
     """Choose obstacles that block most and leave somebody clear.
 
     The first two are the best of all pairs of the most blocking candidates; each further one adds
@@ -485,28 +500,30 @@ def _choose(rows: FloatArray, blocks: BoolArray, clears: BoolArray, count: int) 
         rows: (C, 9) candidates.
         blocks: (C, P), which proposals each blocks; proposal 0, the mean, must be blocked.
         clears: (C, N), from which possible witnesses each keeps its clearance.
-        count: how many to choose: 0, or 2 and more.
+        specification: how many to choose (0, or 2 and more), and how many of them on the table.
 
     Returns:
         Indices of the chosen; None if nobody would be left clear.
     """
+    count = specification.obstacles
     if count == 0:
         return []
+    standing = rows[:, 3] == rows[:, 8]
     strongest = np.argsort(-blocks.sum(axis=1), kind="stable")[:_PAIRED_CANDIDATES]
-    some, clear = blocks[strongest].astype(np.float32), clears[strongest].astype(np.float32)
-    alone = some.sum(axis=1)
-    both = alone[:, None] + alone - some @ some.T
-    allowed = (clear @ clear.T > 0) & _apart(rows[strongest], rows[strongest])
-    allowed &= blocks[strongest, :1] | blocks[strongest, 0]
-    worth = np.where(allowed, both, -1.0)
-    first, second = np.unravel_index(np.argmax(worth), worth.shape)
-    if worth[first, second] < 0:
+    first, second = sampling_kernels.best_pair(
+        sampling_kernels.packed(blocks[strongest]),
+        sampling_kernels.packed(clears[strongest]),
+        _apart(rows[strongest], rows[strongest]),
+    )
+    if first < 0:
         return None
     chosen = [int(strongest[first]), int(strongest[second])]
     while len(chosen) < count:
         alive = clears[chosen].all(axis=0)
         weight = 0.1 ** blocks[chosen].sum(axis=0)
         allowed = (clears & alive).any(axis=1) & _apart(rows, rows[chosen]).all(axis=1)
+        if len(chosen) >= count - specification.on_table:
+            allowed &= standing
         worth = np.where(allowed, (blocks * weight).sum(axis=1), -1.0)
         best = int(np.argmax(worth))
         if worth[best] < 0:
@@ -534,51 +551,42 @@ def _draw(
         configuration = _release_configuration(task, goal)
     except kinematics.UnreachableError:
         return None
-    family = _draw_family(task, goal, configuration, rng)
+    count = specification.obstacles
+    family = _draw_family(
+        task, goal, configuration, _PROPOSALS if count else 0, _WIDE if count else 0, rng
+    )
+    rows = np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
+    if count:
+        rows = _draw_candidates(task, family, goal, rng)
+    proposed = family.free[: family.proposals]
+    blocks = family.near(rows, -_BLOCKING_DEPTH)[:, : family.proposals] & proposed
+    clears = ~family.near(rows, specification.clearance + _GRID_SPACING / 4)
     bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=(goal,))
     bodies = np.array([_row(body) for body in fixtures(bare)])
-    proposed = family.free[: family.proposals]
-    if specification.obstacles:
-        rows = _draw_candidates(task, family, goal, rng)
-        grid = sampling_kernels.rasterised(
-            family.paths, family.radius, _GRID_ORIGIN, _GRID_SPACING, _GRID_SHAPE
-        )
-
-        def near(distance: float) -> BoolArray:
-            return sampling_kernels.touched(
-                grid, _GRID_ORIGIN, _GRID_SPACING, rows, distance, len(family.paths)
-            )
-
-        blocks = near(-_BLOCKING_DEPTH)[:, : family.proposals] & proposed
-        clears = ~near(specification.clearance + _GRID_SPACING / 4) & family.able
-    else:
-        rows = np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
-        blocks, clears = (
-            np.empty((0, family.proposals), bool),
-            np.empty((0, len(family.able)), bool),
-        )
     able = family.able.copy()
     for _ in range(_MAX_CHOICES):
-        choice = _choose(rows, blocks, clears & able, specification.obstacles)
+        choice = _choose(rows, blocks, clears & able, specification)
         if choice is None:
             return None
         alive = able & clears[choice].all(axis=0)
         for index in np.flatnonzero(alive):
             witness = _member(task, family, int(index))
             if _is_witness(task, witness, bodies, rows[choice], specification.clearance):
-                blocked = sampling_kernels.blocked_paths(
-                    family.paths[: family.proposals],
-                    family.radius,
-                    family.steps,
-                    rows[choice],
-                    _BLOCKING_DEPTH,
-                ).any(axis=0)
-                if specification.obstacles and not blocked[0]:
+                free = proposed & ~_blocked(family, rows[choice])
+                if count and free[0]:
                     return None
-                free = float((proposed & ~blocked).sum() / proposed.sum())
-                return _Draw(goal, rows[choice], witness, free)
+                return _Draw(goal, rows[choice], witness, float(free.sum() / proposed.sum()))
         able &= ~alive
     return None
+
+
+def _blocked(family: _Family, rows: FloatArray) -> BoolArray:
+    """Return which proposals obstacles block, (P,), checked without the grid."""
+    paths = family.paths[: family.proposals]
+    steps = sampling_kernels.longest_steps(paths)
+    each = sampling_kernels.blocked_paths(paths, family.radius, steps, rows, _BLOCKING_DEPTH)
+    blocked: BoolArray = each.any(axis=0)
+    return blocked
 
 
 def sample_with_witness(

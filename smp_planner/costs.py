@@ -82,7 +82,7 @@ def check_trajectories(trajectories: ArrayLike, joints: int | None = None) -> Fl
 
 
 def _steps_last(trajectories: FloatArray) -> FloatArray:
-    """Return (P,n,T), as the kernels want it."""
+    """Return (P,n,T), the order of `smp_planner.compiled`."""
     return np.ascontiguousarray(trajectories.swapaxes(1, 2))
 
 

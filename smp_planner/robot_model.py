@@ -124,7 +124,7 @@ class RobotModel:
 
     @cached_property
     def link_pairs(self) -> LinkPairs:
-        """`collision_pairs` in the order in which the kernels go through them."""
+        """`collision_pairs` in the order in which the compiled loops go through them."""
         count = self.joints + 1
         ball_center = np.zeros((count, 3))
         ball_radius = np.zeros(count)
@@ -199,7 +199,7 @@ class RobotModel:
         """Return the poses (..., n + 1, 4, 4) of all links, differentiable by autograd.
 
         The slow and plain way through the chain, in the dtype and on the device of the argument:
-        the oracle of the compiled kernels.
+        the oracle of the compiled loops.
 
         Args:
             configurations: (..., n) rad.

@@ -72,9 +72,11 @@ def list_command() -> None:
 @app.command()
 def run(
     out: Annotated[Path, typer.Option(help="Folder of the results; made if there is none.")],
-    tasks: Annotated[str, typer.Option(help="Names of tasks, separated by commas.")] = "Placement",
+    tasks: Annotated[
+        str, typer.Option(metavar="NAMES", help="Names of tasks, separated by commas.")
+    ] = "Placement",
     methods: Annotated[
-        str, typer.Option(help="Names of methods, separated by commas.")
+        str, typer.Option(metavar="NAMES", help="Names of methods, separated by commas.")
     ] = "smp,promp",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each task and method.")] = 20,
     seed: Annotated[

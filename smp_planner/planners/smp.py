@@ -22,7 +22,13 @@ from smp_planner.costs import (
 )
 from smp_planner.inference import init, named_settings, step
 from smp_planner.movement_primitives import phases
-from smp_planner.occupancy.grid import bake
+from smp_planner.occupancy.grid import DistanceGrid, bake
+from smp_planner.occupancy.neural import (
+    INFLATION,
+    PointNetworkMap,
+    sample_labelled_points,
+    train_map,
+)
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
 from smp_planner.planners.base import (
     PlannerModel,
@@ -44,6 +50,9 @@ class SMPSettings(PlannerSettings):
     """Settings of Stein Movement Primitives.
 
     Attributes:
+        map: "shapes" composes networks trained once per obstacle shape; "points" trains one network
+            from labelled points of the scene, the paper's way, which takes seconds.
+        map_points: how many points "points" learns from.
         inference: one of `smp_planner.inference.SETTINGS`.
         iterations: of SVGD.
         step_size: of its first iteration; None takes the inference's own.
@@ -58,6 +67,8 @@ class SMPSettings(PlannerSettings):
         retries: how often a scene without a good particle is tried again with twice the width.
     """
 
+    map: Literal["shapes", "points"] = "shapes"
+    map_points: int = Field(default=100_000, ge=100)
     inference: Literal["default", "paper", "no_repulsion"] = "default"
     iterations: int = Field(default=100, ge=1)
     step_size: float | None = Field(default=None, gt=0.0)
@@ -139,6 +150,16 @@ class SMPPlanner(PlannerModel):
         return latent, likelihood.costs((values @ weights.reshape(shape)).numpy())
 
 
+def _baked_map(problem: Problem, settings: SMPSettings) -> DistanceGrid:
+    """Return the scene's neural occupancy map as a grid of distance."""
+    if settings.map == "shapes":
+        return bake(ShapeNetworkMap(problem.obstacles, default_networks()))
+    rng = np.random.default_rng([problem.seed, 2])
+    points, labels = sample_labelled_points(problem.obstacles, settings.map_points, rng)
+    network = train_map(points, labels, inflation=INFLATION, seed=problem.seed % 2**63)
+    return bake(PointNetworkMap.of(network))
+
+
 class Likelihood:
     """The likelihood of Eq. (7): all costs of a scene with their weights.
 
@@ -150,7 +171,7 @@ class Likelihood:
 
     def __init__(self, problem: Problem, robot: RobotModel, settings: SMPSettings) -> None:
         self._settings = settings
-        self._obstacles = CollisionCost(robot, bake(ShapeNetworkMap(problem.obstacles, default_networks())))
+        self._obstacles = CollisionCost(robot, _baked_map(problem, settings))
         terms = {
             "self_collision": (settings.self_collision_weight, SelfCollisionCost(robot)),
             "goal": (1.0, GoalCost(robot, problem.goals, settings.goal_sigma)),

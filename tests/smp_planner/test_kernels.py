@@ -38,7 +38,7 @@ def test_a_set_far_from_the_origin_loses_no_digits():
     torch.testing.assert_close(far.repulsion, near.repulsion, atol=1e-8, rtol=0)
 
 
-@pytest.mark.parametrize("count", [2, 3, 7, 42])
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 7, 42])
 def test_median_bandwidth_is_the_squared_lower_median_of_the_pairs(count):
     particles = _particles(count, 4)
     pairs = [

@@ -62,7 +62,7 @@ def test_sphere_centers_are_those_of_the_arm(robot, configurations):
     np.testing.assert_allclose(centers, expected, rtol=0, atol=1e-12)
 
 
-def test_kernels_place_spheres_as_the_arm_does(robot, configurations):
+def test_compiled_loops_place_spheres_as_the_arm_does(robot, configurations):
     flat = configurations.reshape(-1, 6)
     angles = np.ascontiguousarray(flat.T)
     rotation, position = np.empty((7, 3, 3, len(flat))), np.empty((7, 3, len(flat)))

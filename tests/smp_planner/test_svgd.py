@@ -122,6 +122,14 @@ def test_direction_is_the_definition_written_in_loops():
     torch.testing.assert_close(found, expected, atol=1e-13, rtol=1e-11)
 
 
+def test_rows_of_the_gram_matrix_belong_to_the_particle_that_moves():
+    gram, repulsion = _normal(6, 6, seed=2), _normal(6, 3, seed=3)
+    score = _normal(6, 3, seed=1)
+    found = stein_direction(_normal(6, 3), score, lambda _: KernelTerms(gram, repulsion))
+    expected = torch.einsum("ij,jd->id", gram, score) / 6 + repulsion / 6
+    torch.testing.assert_close(found, expected)
+
+
 def test_whitening_is_a_constant_matrix_valued_kernel():
     # Wang et al. 2019, Stein Variational Gradient Descent with Matrix-Valued Kernels, Sec. 3.2.
     factor = torch.linalg.cholesky(_gaussian(4).covariance_matrix)
@@ -205,6 +213,16 @@ def test_steps_decay_to_the_stated_fraction():
     ]
     torch.testing.assert_close(moved[4] - particles, 0.25 * (moved[0] - particles))
     torch.testing.assert_close(moved[2] - particles, 0.625 * (moved[0] - particles))
+
+
+def test_without_repulsion_the_direction_is_the_annealed_score():
+    particles, prior, likelihood = _normal(5, 3), _normal(5, 3, seed=1), _normal(5, 3, seed=2)
+    for annealed, factors in (("score", (1, 1)), ("likelihood", (0, 1))):
+        settings = replace(PLAIN, annealing=0.7, annealed=annealed, repulsion=False, iterations=10)
+        temper = tanh_annealing(0, 10, 0.7)
+        direction = temper ** factors[0] * prior + temper ** factors[1] * likelihood
+        moved = step(init(particles, settings), prior, likelihood, settings).particles
+        torch.testing.assert_close(moved, particles + settings.step_size * direction)
 
 
 def test_without_repulsion_every_particle_is_on_its_own():
