@@ -32,7 +32,7 @@ install: .venv/installed
 	    if "$$python" -c "$$works" >/dev/null 2>&1; then found=$$python; break; fi; \
 	  done; \
 	  if [ -z "$$found" ]; then \
-	    echo "error: Python 3.10 or 3.11 is needed (with venv) and $(or $(PYTHON),none on PATH) is one." >&2; \
+	    echo "error: this needs Python 3.10 or 3.11 with venv; tried $(or $(PYTHON),python3.11 python3.10 python3 python)." >&2; \
 	    echo "Install one, or name it: make install PYTHON=/path/to/python3.11" >&2; \
 	    exit 1; \
 	  fi; \

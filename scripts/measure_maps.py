@@ -149,7 +149,7 @@ def main(
         typer.Option(min=1e-3, help="Spacing of the grids, m; repeat for more than one."),
     ] = None,
     trained: Annotated[
-        bool, typer.Option(help="Also train a map from points in each scene (5 s each).")
+        bool, typer.Option(help="Also train a map from points in each scene (8 s each).")
     ] = True,
     seed: Annotated[int, typer.Option(help="Of scenes and query points.")] = 0,
 ) -> None:

@@ -33,7 +33,7 @@ def main(
     def report(shape: str, done: int, error: float) -> None:
         console.print(f"{shape:>8}  round {done}/{rounds}  RMS error {1e3 * error:.3f} mm")
 
-    networks = train_shape_networks(hidden, rounds, samples, seed=seed, report=report)
+    networks = train_shape_networks(hidden, rounds, samples=samples, seed=seed, report=report)
     out.parent.mkdir(parents=True, exist_ok=True)
     networks.save(out)
     console.print(f"wrote {out}")

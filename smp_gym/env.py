@@ -1,12 +1,11 @@
-"""The environment: world, arm, task and scenes composed into one `gymnasium.Env`."""
+"""The environment: a task's scenes, played in a workcell, as a `gymnasium.Env`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cache
-from typing import Any, ClassVar, Literal
+from dataclasses import fields, replace
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -14,35 +13,21 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from smp_gym import assets
-from smp_gym.jaco import ACTION_SIZE, HAND_LINKS, Jaco, set_grip_friction
-from smp_gym.kinematics import LINKS
+from smp_gym.jaco import ACTION_SIZE
 from smp_gym.observation import (
     CONTROL_PERIOD,
     MAX_EPISODE_STEPS,
-    ObjectState,
     Observation,
     encode,
     observation_space,
 )
-from smp_gym.scene import (
-    DIFFICULTIES,
-    EVALUATION_SEEDS_START,
-    Goal,
-    ManipulatedObject,
-    Obstacle,
-    Scene,
-    fixtures,
-)
+from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, Scene
 from smp_gym.scene_sampling import sample_scene
-from smp_gym.tasks import Status, make_task
-from smp_gym.tasks.status import CALM_SPEED
-from smp_gym.world import PHYSICS_PERIOD, BulletWorld, Camera, Contact
+from smp_gym.tasks import make_task
+from smp_gym.workcell import Workcell
+from smp_gym.world import Camera
 
-__all__ = ["COLLISION_REWARD", "SHAPING_DISCOUNT", "SUBSTEPS", "ManipulationEnv"]
-
-SUBSTEPS = round(CONTROL_PERIOD / PHYSICS_PERIOD)
-"""Physics steps per environment step."""
+__all__ = ["COLLISION_REWARD", "SHAPING_DISCOUNT", "ManipulationEnv"]
 
 COLLISION_REWARD = -100.0
 """Reward of the step that collides; it ends the episode."""
@@ -51,32 +36,11 @@ SHAPING_DISCOUNT = 0.99
 """Discount in the dense reward's difference of potentials. Shaping leaves the best policy what it
 is if the agent discounts by the same."""
 
-CLEARANCE_LIMIT = 0.05
-"""m; ``info["clearance"]`` does not tell larger distances apart."""
-
 DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.2), distance=1.75, yaw=62.0, pitch=-28.0)
 
 _ACTION_TOLERANCE = 1e-6
-_CLOSING_STEPS = 30
-_SETTLING_STEPS = 20
-_GRASP_TOLERANCE = 0.01
-# PyBullet never frees the shapes of bodies that were removed, a few kilobytes each.
-_EPISODES_PER_WORLD = 500
-_TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
-_BIN_COLOR = (0.30, 0.45, 0.62, 1.0)
-_OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
-_ORIGIN = (0.0, 0.0, 0.0)
-_BIN_PARKING = (0.0, 0.0, -10.0)
 
-FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Grasp:
-    """What the settled grasp, and so its snapshot, depends on."""
-
-    start: tuple[float, ...]
-    manipulated: ManipulatedObject
+FloatArray = NDArray[np.floating[Any]]
 
 
 class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle):
@@ -120,7 +84,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         RuntimeError: "human" without a display.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["human", "rgb_array"],
         "render_fps": round(1.0 / CONTROL_PERIOD),
     }
@@ -148,13 +112,13 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.render_mode = render_mode
         self._width, self._height = width, height
         self._camera = _make_camera(camera)
-        self.observation_space = observation_space(self.task.name)
+        self.observation_space = observation_space(self.task.name)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
-        self._world = BulletWorld(gui=render_mode == "human")
-        self._grasp: _Grasp | None = None
-        self._episodes = 0
+        self._cell = Workcell(self.task, gui=render_mode == "human")
         self._scene: Scene | None = None
-        self._collision: Contact | None = None
+        self._elapsed = 0
+        self._failure = ""
+        self._succeeded = False
         self._next_frame = 0.0
 
     # Gymnasium's interface
@@ -182,16 +146,17 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         """
         self._check_open()
         super().reset(seed=seed)
-        scene = self._scene_of(seed, options)
-        try:
-            self._load(scene)
-        except ValueError:
-            self._scene = None
-            raise
+        scene = self._choose_scene(seed, options)
+        self._scene = None
+        self._cell.load(scene)
+        self._scene = scene
+        self._elapsed = 0
+        self._failure = ""
+        self._succeeded = False
         observation = self._observe()
         self._achieved = observation["achieved_goal"]
         if self.render_mode == "human":
-            self._world.look(self._camera)
+            self._cell.world.look(self._camera)
             self.render()
         return observation, self._info()
 
@@ -210,22 +175,19 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         checked = _checked_action(action)
         _ = self.scene
-        self._jaco.integrate(checked)
-        self._jaco.track()
-        self._squeezing = self._jaco.squeezes(self._robot)
-        self._contacts = set()
-        for _ in range(SUBSTEPS):
-            self._world.step()
-            if self._judge_contacts():
-                break
+        self._cell.advance(checked)
         self._elapsed += 1
-        self._measure()
         observation = self._observe()
         previous, self._achieved = self._achieved, observation["achieved_goal"]
         desired = observation["desired_goal"]
+        collided = self._cell.collision is not None
         self._succeeded = bool(self.task.success(self._achieved, desired))
-        terminated = self._succeeded or self._collision is not None
-        if not terminated and not self._failure and self._elapsed >= MAX_EPISODE_STEPS:
+        terminated = self._succeeded or collided
+        if collided:
+            self._failure = "collision"
+        elif not self._failure:
+            self._failure = self.task.failure(self._cell.status)
+        if not (terminated or self._failure) and self._elapsed >= MAX_EPISODE_STEPS:
             self._failure = "timeout"
         info = self._info()
         if self.reward == "dense":
@@ -264,12 +226,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             rewards = rewards + SHAPING_DISCOUNT * after - before
         return float(rewards) if rewards.ndim == 0 else rewards
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3) in mode "rgb_array"; in "human", keep real time."""
         self._check_open()
         _ = self.scene
         if self.render_mode == "rgb_array":
-            return self._world.picture(self._camera, self._width, self._height)
+            return self._cell.world.picture(self._camera, self._width, self._height)
         if self.render_mode == "human":
             now = time.monotonic()
             time.sleep(max(0.0, self._next_frame - now))
@@ -278,16 +240,16 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 
     def close(self) -> None:
         """End the physics world; closing again does nothing."""
-        self._world.close()
+        self._cell.world.close()
         self._scene = None
 
-    # Scenes
+    # Internals
 
     def _check_open(self) -> None:
-        if self._world.closed:
+        if self._cell.world.closed:
             raise RuntimeError("the environment is closed; make a new one")
 
-    def _scene_of(self, seed: int | None, options: Mapping[str, Any] | None) -> Scene:
+    def _choose_scene(self, seed: int | None, options: Mapping[str, Any] | None) -> Scene:
         options = dict(options or {})
         given = options.pop("scene", None)
         if options:
@@ -300,166 +262,21 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             seed = int(self.np_random.integers(EVALUATION_SEEDS_START))
         return sample_scene(self.task.name, self.difficulty, seed)
 
-    def _load(self, scene: Scene) -> None:
-        assert scene.manipulated is not None
-        grasp = _Grasp(scene.start, scene.manipulated)
-        if grasp != self._grasp or self._episodes >= _EPISODES_PER_WORLD:
-            self._build(grasp)
-        self._episodes += 1
-        self._world.restore(self._settled)
-        self._jaco.set_reference(scene.start, 1.0)
-        self._world.place("bin", scene.goals[0].position)
-        self._world.set_obstacles(scene.obstacles)
-        self._world.detect_contacts()
-        self._scene = scene
-        self._elapsed = 0
-        self._calm_steps = 0
-        self._failure = ""
-        self._collision = None
-        self._succeeded = False
-        self._clearance = CLEARANCE_LIMIT
-        self._robot = self._jaco.state()
-        self._squeezing = True
-        self._contacts = set()
-        if self._judge_contacts():
-            raise ValueError(f"the scene begins with a collision: {self._collision}")
-        self._measure()
-
-    def _build(self, grasp: _Grasp) -> None:
-        """Fill an empty world and let the hand close on the object; the snapshot is the start."""
-        self._grasp = None
-        world = self._world
-        world.clear()
-        table, *walls = fixtures(_scene_with_bin_at_origin(self.task.name, grasp))
-        world.add_body("table", (table,), color=_TABLE_COLOR)
-        world.add_body("bin", walls, color=_BIN_COLOR, position=_BIN_PARKING)
-        self._jaco = Jaco(world, assets.jaco_urdf(), grasp.start)
-        block = Obstacle(shape="box", position=_ORIGIN, size=grasp.manipulated.size)
-        position, quaternion = self._jaco.carried(self.task.object_in_hand)
-        world.add_body(
-            "object",
-            (block,),
-            color=_OBJECT_COLOR,
-            mass=grasp.manipulated.mass,
-            position=position,
-            quaternion=quaternion,
-        )
-        set_grip_friction(world, world.body("object"), -1)
-        world.reserve_obstacles()
-        self._jaco.set_reference(grasp.start, 1.0)
-        # Weightless until the fingers have closed on it, then let it hang.
-        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
-            world.set_gravity(gravity)
-            for _ in range(steps):
-                self._jaco.track()
-                for _ in range(SUBSTEPS):
-                    world.step()
-        expected, _ = self._jaco.carried(self.task.object_in_hand)
-        slip = float(np.linalg.norm(world.pose("object")[0] - expected))
-        if slip > _GRASP_TOLERANCE:
-            raise ValueError(
-                f"the hand cannot hold an object of half-extents {grasp.manipulated.size} m and "
-                f"{grasp.manipulated.mass} kg in the configuration {grasp.start}"
-            )
-        self._settled = world.snapshot()
-        self._grasp = grasp
-        self._episodes = 0
-
-    # Judging and measuring
-
-    def _judge_contacts(self) -> bool:
-        """Look for a forbidden contact, remember it, and return whether there is one."""
-        contacts = self._world.contacts()
-        # Within a step the verdict depends on the contacts alone, and they seldom change.
-        if contacts == self._contacts:
-            return False
-        self._contacts = contacts
-        permitted = self.task.permitted_contacts(self._held())
-        forbidden = [pair for pair in contacts if _groups(pair) not in permitted]
-        if forbidden:
-            self._collision = min(forbidden)
-        return bool(forbidden)
-
-    def _object_contacts(self) -> frozenset[str]:
-        """Return the groups that touch the object."""
-        return frozenset(
-            _group(b if a == "object" else a) for a, b in self._contacts if "object" in (a, b)
-        )
-
-    def _held(self) -> bool:
-        """Return whether the hand grips the object: touches it and is not opening."""
-        return self._squeezing and "hand" in self._object_contacts()
-
-    def _measure(self) -> None:
-        """Take stock of arm and object at the end of a step."""
-        world = self._world
-        self._robot = self._jaco.state()
-        position, quaternion = world.pose("object")
-        linear, angular = world.velocity("object")
-        assert self._scene is not None
-        assert self._scene.manipulated is not None
-        self._object = ObjectState(
-            position=position,
-            quaternion=quaternion,
-            linear_velocity=linear,
-            angular_velocity=angular,
-            size=np.array(self._scene.manipulated.size),
-        )
-        contacts, held = self._object_contacts(), self._held()
-        still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in contacts
-        self._calm_steps = self._calm_steps + 1 if still else 0
-        self._clearance = world.clearance(
-            ("jaco", "object") if held else ("jaco",), world.obstacles, self._clearance
-        )
-        self._status = Status(
-            object_position=position,
-            object_contacts=contacts,
-            held=held,
-            calm_steps=self._calm_steps,
-            collided=self._collision is not None,
-        )
-        if self._collision is not None:
-            self._failure = "collision"
-        elif not self._failure:
-            self._failure = self.task.failure(self._status)
-
     def _observe(self) -> Observation:
-        return encode(
-            self.scene,
-            self._robot,
-            self._object,
-            self.task.achieved_goal(self._status),
-            self._elapsed,
-        )
+        cell = self._cell
+        achieved = self.task.achieved_goal(cell.status)
+        return encode(self.scene, cell.robot, cell.manipulated, achieved, self._elapsed)
 
     def _info(self) -> dict[str, Any]:
         return {
             "is_success": self._succeeded,
-            "collided": self._collision is not None,
-            "collision": self._collision,
-            "clearance": self._clearance,
+            "collided": self._cell.collision is not None,
+            "collision": self._cell.collision,
+            "clearance": self._cell.clearance,
             "failure": self._failure,
             "seed": self.scene.seed,
             "difficulty": self.scene.difficulty,
         }
-
-
-_HAND = frozenset(HAND_LINKS)
-
-
-@cache
-def _group(part: str) -> str:
-    """Return the group of a part, as `Task.permitted_contacts` names them."""
-    if part in _HAND:
-        return "hand"
-    if part in LINKS:
-        return "arm"
-    return "obstacle" if part.startswith("obstacle") else part
-
-
-def _groups(pair: Contact) -> tuple[str, str]:
-    a, b = sorted((_group(pair[0]), _group(pair[1])))
-    return a, b
 
 
 def _check_choice(name: str, value: Any, allowed: Sequence[Any]) -> None:
@@ -477,10 +294,6 @@ def _make_camera(changes: Mapping[str, Any] | None) -> Camera:
         ) from None
 
 
-def _scene_with_bin_at_origin(task: str, grasp: _Grasp) -> Scene:
-    return Scene(task=task, start=grasp.start, goals=(Goal(position=_ORIGIN),))
-
-
 def _parsed(given: Any) -> Scene:
     if isinstance(given, Scene):
         return given
@@ -493,7 +306,7 @@ def _parsed(given: Any) -> Scene:
     )
 
 
-def _checked_action(action: Any) -> FloatArray:
+def _checked_action(action: Any) -> NDArray[np.float64]:
     try:
         checked = np.asarray(action, np.float64)
     except (TypeError, ValueError):

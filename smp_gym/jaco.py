@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pybullet
@@ -16,10 +17,13 @@ from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, LINKS
 from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE, RobotState
 from smp_gym.world import BulletWorld
 
-__all__ = ["ACTION_SIZE", "FINGER_CLOSED", "HAND_LINKS", "Jaco", "set_grip_friction"]
+__all__ = ["ACTION_SIZE", "ARM", "FINGER_CLOSED", "HAND_LINKS", "Jaco", "set_grip_friction"]
 
 ACTION_SIZE = 7
 """Six joint velocities and the gripper's rate."""
+
+ARM = "jaco"
+"""Name of the arm's body in its world."""
 
 FINGER_CLOSED = 1.51
 """rad; command to the proximal finger joints at gripper reference 1, their upper limit."""
@@ -68,7 +72,7 @@ class Jaco:
         self._world = world
         self._client = world.client
         self._body = world.load_urdf(
-            "jaco",
+            ARM,
             urdf,
             flags=pybullet.URDF_USE_INERTIA_FROM_FILE
             | pybullet.URDF_USE_SELF_COLLISION
@@ -208,7 +212,7 @@ class Jaco:
                 physicsClientId=self._client,
             )
 
-    def carried(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def carried(self, pose: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
         """Return where something fixed to the hand is.
 
         Args:

@@ -71,7 +71,7 @@ SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
     "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.01),
     "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.0),
-    "hard": DifficultySpecification(obstacles=6, on_table=2, clearance=0.020, free_share=0.0),
+    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.0),
 }
 """Difficulties by name."""
 
@@ -113,6 +113,8 @@ _TABLE_SHARE = 0.35
 _SHAPE_SHARES = (0.5, 0.3, 0.2)
 """Obstacles: range of half-extents (m), share that stands on the table, shares of `SHAPES`."""
 
+_REPEATED = 0.1
+_CHOICE_DEPTH = 0.015
 _CANDIDATES = 1200
 _PAIRED_CANDIDATES = 200
 
@@ -488,6 +490,7 @@ def _choose(
     rows: FloatArray,
     blocks: BoolArray,
     clears: BoolArray,
+    pairs: BoolArray,
     specification: DifficultySpecification,
 ) -> list[int] | None:
     """Choose obstacles that block most and leave somebody clear.
@@ -497,9 +500,10 @@ def _choose(
     were not drawn, are blocked too.
 
     Args:
-        rows: (C, 9) candidates.
+        rows: (C, 9) candidates, the most blocking first.
         blocks: (C, P), which proposals each blocks; proposal 0, the mean, must be blocked.
         clears: (C, N), from which possible witnesses each keeps its clearance.
+        pairs: (S, S), which of the first S candidates may stand together.
         specification: how many to choose (0, or 2 and more), and how many of them on the table.
 
     Returns:
@@ -509,18 +513,17 @@ def _choose(
     if count == 0:
         return []
     standing = rows[:, 3] == rows[:, 8]
-    strongest = np.argsort(-blocks.sum(axis=1), kind="stable")[:_PAIRED_CANDIDATES]
     first, second = sampling_kernels.best_pair(
-        sampling_kernels.packed(blocks[strongest]),
-        sampling_kernels.packed(clears[strongest]),
-        _apart(rows[strongest], rows[strongest]),
+        sampling_kernels.packed(blocks[: len(pairs)]),
+        sampling_kernels.packed(clears[: len(pairs)]),
+        pairs,
     )
     if first < 0:
         return None
-    chosen = [int(strongest[first]), int(strongest[second])]
+    chosen = [first, second]
     while len(chosen) < count:
         alive = clears[chosen].all(axis=0)
-        weight = 0.1 ** blocks[chosen].sum(axis=0)
+        weight = _REPEATED**blocks[chosen].sum(axis=0)
         allowed = (clears & alive).any(axis=1) & _apart(rows, rows[chosen]).all(axis=1)
         if len(chosen) >= count - specification.on_table:
             allowed &= standing
@@ -559,13 +562,16 @@ def _draw(
     if count:
         rows = _draw_candidates(task, family, goal, rng)
     proposed = family.free[: family.proposals]
-    blocks = family.near(rows, -_BLOCKING_DEPTH)[:, : family.proposals] & proposed
+    blocks = family.near(rows, -_CHOICE_DEPTH)[:, : family.proposals] & proposed
+    order = np.argsort(-blocks.sum(axis=1), kind="stable")
+    rows, blocks = rows[order], blocks[order]
+    pairs = _apart(rows[:_PAIRED_CANDIDATES], rows[:_PAIRED_CANDIDATES])
     clears = ~family.near(rows, specification.clearance + _GRID_SPACING / 4)
     bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=(goal,))
     bodies = np.array([_row(body) for body in fixtures(bare)])
     able = family.able.copy()
     for _ in range(_MAX_CHOICES):
-        choice = _choose(rows, blocks, clears & able, specification)
+        choice = _choose(rows, blocks, clears & able, pairs, specification)
         if choice is None:
             return None
         alive = able & clears[choice].all(axis=0)

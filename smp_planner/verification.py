@@ -20,8 +20,8 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.scene import Obstacle
-from smp_planner.costs import EXECUTABLE_FRACTION, check_trajectories
 from smp_planner.compiled import FAST, chain, place, sine_cosine
+from smp_planner.costs import EXECUTABLE_FRACTION, check_trajectories
 from smp_planner.occupancy.analytic import PackedObstacles, point_distance
 from smp_planner.robot_model import RobotModel
 

@@ -110,5 +110,6 @@ def test_installed_wheel_plans_and_acts(python: Path, tmp_path: Path) -> None:
 
 
 def test_installed_command_answers(python: Path, tmp_path: Path) -> None:
-    command = [str(python), "-c", "from smp_planner.benchmark.cli import app; app()"]
-    assert "Placement" in _run(command, ["list"], cwd=tmp_path)
+    entry = "(entry,) = entry_points(group='console_scripts', name='smp-bench')"
+    code = f"from importlib.metadata import entry_points; {entry}; entry.load()()"
+    assert "Placement" in _run([str(python), "-c", code], ["list"], cwd=tmp_path)

@@ -17,7 +17,7 @@ from smp_gym.tasks.status import Status
 
 __all__ = ["Status", "Task", "make_task"]
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
 
 

@@ -25,7 +25,7 @@ __all__ = [
     "Placement",
 ]
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
 
 START_CONFIGURATION = (-0.78, 3.53, 0.9813, 0.0568, 2.6632, -0.0361)
@@ -100,6 +100,11 @@ class Placement:
             raise ValueError("scene.manipulated must be an object to place, got None")
         if len(scene.goals) != 1:
             raise ValueError(f"scene.goals must hold one bin, got {len(scene.goals)} goals")
+        moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
+        if moving:
+            raise ValueError(
+                f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
+            )
         start = np.array(scene.start)
         if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
             raise ValueError(

@@ -32,8 +32,12 @@ def _cell(x, origin, inv_spacing, count):  # type: ignore[no-untyped-def]
     """Return (cell, fraction, slope) of one coordinate; slope is 0 where it had to be clamped."""
     u = (x - origin) * inv_spacing
     last = count - 1.0
-    slope = inv_spacing if 0.0 <= u <= last else 0.0
-    u = min(max(u, 0.0), last)
+    slope = inv_spacing
+    # Written so that NaN, for which every comparison is false, lands in a cell of the grid.
+    if not u >= 0.0:
+        u, slope = 0.0, 0.0
+    elif u > last:
+        u, slope = last, 0.0
     i = min(int(u), count - 2)
     return i, u - i, slope
 
@@ -43,7 +47,7 @@ def lookup(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def
     """Return (distance, gx, gy, gz) of one point: m, and the exact gradient of the interpolant.
 
     Outside the grid the nearest point of its boundary answers, so the gradient across that boundary
-    is 0. Nothing is checked; a NaN coordinate has no defined answer.
+    is 0. Nothing is checked; a NaN coordinate gets an answer without meaning.
 
     Args:
         values: (X, Y, Z) m, each at least 2 nodes.
@@ -56,10 +60,10 @@ def lookup(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def
     i, a, sx = _cell(x, origin[0], inv_spacing, values.shape[0])
     j, b, sy = _cell(y, origin[1], inv_spacing, values.shape[1])
     k, c, sz = _cell(z, origin[2], inv_spacing, values.shape[2])
-    v000, v001 = float(values[i, j, k]), float(values[i, j, k + 1])
-    v010, v011 = float(values[i, j + 1, k]), float(values[i, j + 1, k + 1])
-    v100, v101 = float(values[i + 1, j, k]), float(values[i + 1, j, k + 1])
-    v110, v111 = float(values[i + 1, j + 1, k]), float(values[i + 1, j + 1, k + 1])
+    v000, v001 = np.float64(values[i, j, k]), np.float64(values[i, j, k + 1])
+    v010, v011 = np.float64(values[i, j + 1, k]), np.float64(values[i, j + 1, k + 1])
+    v100, v101 = np.float64(values[i + 1, j, k]), np.float64(values[i + 1, j, k + 1])
+    v110, v111 = np.float64(values[i + 1, j + 1, k]), np.float64(values[i + 1, j + 1, k + 1])
     d00, d01, d10, d11 = v001 - v000, v011 - v010, v101 - v100, v111 - v110
     v00, v01, v10, v11 = v000 + c * d00, v010 + c * d01, v100 + c * d10, v110 + c * d11
     v0, v1 = v00 + b * (v01 - v00), v10 + b * (v11 - v10)

@@ -39,7 +39,7 @@ INFLATION = 0.02
 
 _HEADER = {"format": "smp-point-network", "version": 1}
 _CHUNK = 1 << 16
-_NEAR = 0.06
+_NEAR = 0.03
 """Metres from the labelled surface within which most of the points are drawn."""
 
 _UNIFORM_SHARE = 0.25
@@ -199,9 +199,9 @@ def train_map(
     *,
     inflation: float = 0.0,
     hidden: Sequence[int] = (64, 64, 64),
-    input_gain: float = 4.0,
+    input_gain: float = 8.0,
     batch: int = 512,
-    steps: int = 3000,
+    steps: int = 5000,
     seed: int = 0,
 ) -> PointNetwork:
     """Learn where a scene is occupied from labelled points (Eq. 12).
@@ -233,12 +233,16 @@ def train_map(
         raise ValueError(
             f"labels must hold free and occupied points, got {occupied} occupied of {len(target)}"
         )
+    if not (math.isfinite(inflation) and inflation >= 0.0):
+        raise ValueError(f"inflation must not be negative, got {inflation}")
     if batch < 1 or steps < 1 or not hidden or min(hidden) < 1:
         raise ValueError(
             f"batch, steps and hidden must be positive, got {batch}, {steps}, {hidden}"
         )
     lower, upper = array.min(axis=0), array.max(axis=0)
     center, scale = (lower + upper) / 2, float((upper - lower).max() / 2)
+    if scale == 0.0:
+        raise ValueError(f"points must not all be the same, got {array[0]} {len(array)} times")
     inputs = torch.from_numpy(((array - center) / scale).astype(np.float32))
     targets = torch.from_numpy(target.astype(np.float32))
 

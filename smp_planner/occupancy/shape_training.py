@@ -22,7 +22,6 @@ SIZE_RANGE = (0.0025, 0.30)
 _INPUT_GAIN = 2.0
 """Factor on the first layer's initial weights, for edges are sharper than what it starts with."""
 
-_ROUND_ITERATIONS = 300
 _HISTORY = 50
 
 
@@ -70,6 +69,7 @@ def _train_one(
     shape: str,
     hidden: int,
     rounds: int,
+    iterations: int,
     samples: int,
     truncation: float,
     generator: torch.Generator,
@@ -92,7 +92,7 @@ def _train_one(
         )
         optimiser = torch.optim.LBFGS(
             network.parameters(),
-            max_iter=_ROUND_ITERATIONS,
+            max_iter=iterations,
             history_size=_HISTORY,
             tolerance_grad=1e-12,
             tolerance_change=1e-15,
@@ -120,6 +120,7 @@ def _train_one(
 def train_shape_networks(
     hidden: int = 16,
     rounds: int = 8,
+    iterations: int = 300,
     samples: int = 20_000,
     truncation: float = TRUNCATION,
     seed: int = 0,
@@ -130,15 +131,17 @@ def train_shape_networks(
     Args:
         hidden: units in each of the two layers.
         rounds: rounds of L-BFGS, each on fresh points.
+        iterations: iterations in each round.
         samples: points in each round.
         truncation: m.
         seed: of initial weights and points.
         report: called after each round with the shape, the rounds done and the RMS error in m.
 
     Raises:
-        ValueError: `hidden`, `rounds` or `samples` is below 1.
+        ValueError: `hidden`, `rounds`, `iterations` or `samples` is below 1.
     """
-    for name, value in (("hidden", hidden), ("rounds", rounds), ("samples", samples)):
+    positive = {"hidden": hidden, "rounds": rounds, "iterations": iterations, "samples": samples}
+    for name, value in positive.items():
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value}")
     trained = [
@@ -146,6 +149,7 @@ def train_shape_networks(
             shape,
             hidden,
             rounds,
+            iterations,
             samples,
             truncation,
             torch.Generator().manual_seed(seed),

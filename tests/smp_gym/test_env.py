@@ -18,7 +18,15 @@ import smp_gym
 from smp_gym import kinematics
 from smp_gym.env import COLLISION_REWARD, SHAPING_DISCOUNT, ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, decode
-from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, Goal, Obstacle
+from smp_gym.scene import (
+    BIN_HEIGHT,
+    BIN_INNER_HALF_WIDTH,
+    BIN_WALL_THICKNESS,
+    DIFFICULTIES,
+    EVALUATION_SEEDS_START,
+    Goal,
+    Obstacle,
+)
 from smp_gym.scene_sampling import sample_scene
 from smp_gym.tasks.placement import (
     HELD_OBJECT_POSE,
@@ -409,9 +417,14 @@ def turned(angle, configuration=START_CONFIGURATION):
     return (configuration[0] - angle, *configuration[1:])
 
 
+def lowered(angle):
+    """Return the start leaning forward in the shoulder."""
+    return (START_CONFIGURATION[0], START_CONFIGURATION[1] + angle, *START_CONFIGURATION[2:])
+
+
 def test_collision_of_the_object_with_an_obstacle(env):
-    ahead = held_object(turned(0.4))
-    assert collide(env, scene_with(cube(ahead, 0.025)), turned(0.6)) == ("object", "obstacle_0")
+    below = held_object() - np.array([0.0, 0.0, 0.09])
+    assert collide(env, scene_with(cube(below, 0.03)), lowered(0.3)) == ("object", "obstacle_0")
 
 
 def test_collision_of_the_arm_with_an_obstacle(env):
@@ -423,15 +436,14 @@ def test_collision_of_the_arm_with_an_obstacle(env):
 
 
 def test_collision_of_the_held_object_with_the_table(env):
-    low = (START_CONFIGURATION[0], START_CONFIGURATION[1] + 0.7, *START_CONFIGURATION[2:])
-    assert collide(env, EMPTY, low) == ("object", "table")
+    assert collide(env, EMPTY, lowered(0.7)) == ("object", "table")
 
 
 def test_collision_of_the_held_object_with_the_bin(env):
-    x, y, z = held_object(turned(0.5))
-    wall = scene_with(bin_position=(x, y, z - 0.05))
-    pair = collide(env, wall, turned(0.8))
-    assert pair == ("bin", "object")
+    x, y, z = held_object()
+    wall = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS / 2
+    under = scene_with(bin_position=(x, y + wall, z - BIN_HEIGHT - 0.06))
+    assert collide(env, under, lowered(0.3)) == ("bin", "object")
 
 
 def test_collision_of_the_hand_with_the_table_and_with_the_bin(env):
@@ -500,9 +512,7 @@ def test_clearance_is_the_least_distance_so_far(env):
 def test_reward_of_goals_is_the_reward_of_the_step(env):
     env.reset(options={"scene": EMPTY})
     for observation, reward, _, _, _ in place(env)[::10]:
-        again = env.compute_reward(
-            observation["achieved_goal"], observation["desired_goal"], {}
-        )
+        again = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
         assert again == reward
 
 
@@ -522,9 +532,8 @@ def test_dense_rewards_add_up_to_sparse_ones_plus_the_first_potential(dense, fin
     ahead = held_object(turned(0.4))
     scene = scene_with(cube(ahead, 0.025)) if blocked else EMPTY
     observation, _ = dense.reset(options={"scene": scene})
-    start = -100.0 * np.linalg.norm(
-        (observation["achieved_goal"] - observation["desired_goal"])[:3].astype(np.float64)
-    )
+    achieved = observation["achieved_goal"].astype(np.float64)
+    start = -100.0 * np.linalg.norm((achieved - observation["desired_goal"])[:3])
     results = finish(dense)
     assert results[-1][2]
     rewards = np.array([r[1] for r in results])
@@ -535,7 +544,7 @@ def test_dense_rewards_add_up_to_sparse_ones_plus_the_first_potential(dense, fin
 
 
 def test_dense_rewards_of_batches_need_the_goals_before(dense):
-    observation, _ = dense.reset(seed=0)
+    dense.reset(seed=0)
     steps = [dense.step(np.full(7, 0.1, np.float32)) for _ in range(3)]
     achieved = np.stack([s[0]["achieved_goal"] for s in steps])
     desired = np.stack([s[0]["desired_goal"] for s in steps])

@@ -9,6 +9,7 @@ from smp_gym.scene import (
     BIN_INNER_HALF_WIDTH,
     Goal,
     ManipulatedObject,
+    Obstacle,
     Scene,
 )
 from smp_gym.tasks import Status, make_task
@@ -117,6 +118,11 @@ def test_the_bin_may_be_touched_by_the_released_object_only():
         assert not any("arm" in pair or "obstacle" in pair for pair in permitted)
 
 
+MOVING = Obstacle(
+    shape="sphere", position=(0.5, 0.0, 0.5), size=(0.05,) * 3, velocity=(0.1, 0.0, 0.0)
+)
+
+
 def scene(**changes):
     values = {
         "task": "Placement",
@@ -133,6 +139,7 @@ def scene(**changes):
     [
         ({"manipulated": None}, "manipulated"),
         ({"goals": (Goal(position=NOMINAL_BIN),) * 2}, "one bin"),
+        ({"obstacles": (MOVING,)}, "stand still"),
         ({"start": (0.0, 0.5, 1.0, 0.0, 2.0, 0.0)}, "start"),
         ({"start": (6.5, 3.5, 1.0, 0.0, 2.0, 0.0)}, "start"),
     ],
@@ -173,9 +180,7 @@ def test_every_bin_is_in_reach_with_margin(x, y):
     seed = np.array([-2.08, 3.75, 1.0, 0.05, 2.45, -0.02])
     solution = kinematics.inverse_kinematics(position, rotation, seed=seed)
     limited = [1, 2, 4]
-    room = np.minimum(
-        solution - kinematics.JOINT_LOWER, kinematics.JOINT_UPPER - solution
-    )[limited]
+    room = np.minimum(solution - kinematics.JOINT_LOWER, kinematics.JOINT_UPPER - solution)[limited]
     assert room.min() > 0.15
     # The wrist is singular where joint 5 is straight (pi), the arm where joint 3 is.
     assert abs(solution[4] - np.pi) > 0.25

@@ -1,4 +1,4 @@
-"""Costs and gradients against autograd through plain tensor code, finite differences and geometry."""
+"""Costs and gradients against autograd through plain tensors, finite differences and geometry."""
 
 import numpy as np
 import pytest

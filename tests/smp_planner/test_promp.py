@@ -372,7 +372,6 @@ def test_fit_adds_the_stated_freedom_to_demonstrations_that_have_none():
     weights = primitive.sample(20_000, _generator())
     trajectories = primitive.trajectory(weights, torch.tensor([0.45, 0.5]))
     std = trajectories[:, 1].std(0)
-    # The prior of the covariance adds 0.01 rad in each weight.
     torch.testing.assert_close(std, torch.full_like(std, 0.2), rtol=0.03, atol=0)
     nearby = torch.corrcoef(trajectories[:, :, 0].mT)[0, 1]
     assert float(nearby) > 0.95

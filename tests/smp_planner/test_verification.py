@@ -25,7 +25,9 @@ OBSTACLES = (
     TABLE,
     Obstacle(shape="box", position=(0.45, 0.1, 0.2), quaternion=TILTED, size=(0.05, 0.06, 0.15)),
     Obstacle(shape="sphere", position=(0.2, -0.4, 0.5), size=(0.06, 0.06, 0.06)),
-    Obstacle(shape="cylinder", position=(-0.3, 0.2, 0.6), quaternion=TILTED, size=(0.04, 0.04, 0.1)),
+    Obstacle(
+        shape="cylinder", position=(-0.3, 0.2, 0.6), quaternion=TILTED, size=(0.04, 0.04, 0.1)
+    ),
 )
 
 

@@ -1,0 +1,208 @@
+"""Record the demonstrations that ship with the package: a scripted demonstrator in the physics.
+
+Each demonstration takes a way of its own (height, curvature, tempo, posture of the wrist, place of
+release), is executed in the environment, and is recorded from what the arm does there. Nothing is
+written unless every one of them ends in success.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
+from smp_gym.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
+from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.scene import Goal, ManipulatedObject, Scene
+from smp_gym.tasks.placement import (
+    HELD_OBJECT_POSE,
+    NOMINAL_BIN,
+    RELEASE_HEIGHT,
+    RELEASE_TILT,
+    START_CONFIGURATION,
+)
+
+TASK = "Placement"
+COUNT = 7
+SEED = 0
+
+DURATION = (10.5, 13.0)
+"""Seconds from the start to the release."""
+
+SPEED_LIMIT = 0.9
+"""Share of the joint velocity limits that a demonstrator uses at most."""
+
+LIFT = (0.04, 0.14)
+"""Metres by which the middle of the way lies above the straight line from start to release."""
+
+RELEASE_STEPS = 60
+"""Environment steps that the object is given to come to rest."""
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was measured in one execution: (M, 6) rad, fingers (4,) rad, and the last step's info."""
+
+    configurations: FloatArray
+    finger_angles: FloatArray
+    info: dict[str, Any]
+
+
+def hand_rotation(yaw: float, tilt: float) -> Rotation:
+    """Return the hand pointing along `yaw`, `tilt` rad below the horizontal, opening sideways."""
+    approach = np.array([np.cos(yaw) * np.cos(tilt), np.sin(yaw) * np.cos(tilt), -np.sin(tilt)])
+    opening = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    return Rotation.from_matrix(np.stack([approach, opening, np.cross(approach, opening)], axis=1))
+
+
+def hold(center: FloatArray, rotation: Rotation, near: FloatArray) -> FloatArray:
+    """Return the (6,) configuration with the held object's centre at `center`."""
+    matrix = rotation.as_matrix()
+    wrist = center - matrix @ HELD_OBJECT_POSE[:3, 3]
+    return inverse_kinematics(wrist, matrix, seed=near)
+
+
+def scripted_movement(rng: np.random.Generator) -> FloatArray:
+    """Return one way of carrying the object from the start over the bin, (200, 6) rad.
+
+    The joints follow the minimum-jerk curve (a quintic spline, at rest at both ends) through two
+    configurations between start and release.
+    """
+    start = np.asarray(START_CONFIGURATION, np.float64)
+    pose = end_effector_pose(start)
+    first = pose @ HELD_OBJECT_POSE
+    turn = Rotation.from_matrix(pose[:3, :3])
+    origin = first[:3, 3]
+    above = np.array([0.0, 0.0, RELEASE_HEIGHT + rng.uniform(-0.004, 0.012)])
+    release = np.asarray(NOMINAL_BIN) + above
+    release[:2] += rng.normal(0.0, 0.006, 2)
+    last_turn = hand_rotation(
+        np.arctan2(release[1], release[0]) + rng.normal(0.0, 0.04),
+        RELEASE_TILT + rng.normal(0.0, 0.03),
+    )
+    between = (turn.inv() * last_turn).as_rotvec()
+    radius = np.hypot(origin[0], origin[1]), np.hypot(release[0], release[1])
+    angle = np.arctan2(origin[1], origin[0]), np.arctan2(release[1], release[0])
+    lift, reach, skew = rng.uniform(*LIFT), rng.normal(0.0, 0.025), rng.normal(0.0, 0.03)
+
+    phases, ways = [0.0], [start]
+    for phase in (1 / 3, 2 / 3):
+        part = phase + skew
+        bow = np.sin(np.pi * part)
+        r = radius[0] + part * (radius[1] - radius[0]) + reach * bow
+        a = angle[0] + part * (angle[1] - angle[0])
+        z = origin[2] + part * (release[2] - origin[2]) + lift * bow
+        wrist = turn * Rotation.from_rotvec(part * between)
+        wrist = wrist * Rotation.from_rotvec(rng.normal(0.0, 0.04, 3))
+        ways.append(hold(np.array([r * np.cos(a), r * np.sin(a), z]), wrist, ways[-1]))
+        phases.append(phase + rng.normal(0.0, 0.015))
+    phases.append(1.0)
+    ways.append(hold(release, last_turn, ways[-1]))
+    rest = [(1, np.zeros(6)), (2, np.zeros(6))]
+    curve = make_interp_spline(phases, np.array(ways), k=5, bc_type=(rest, rest))
+    movement: FloatArray = curve(np.linspace(0.0, 1.0, DEMONSTRATION_SAMPLES))
+    return movement
+
+
+def execute(env: gymnasium.Env, scene: Scene, movement: FloatArray, duration: float) -> Recording:
+    """Play a movement in an environment, open the hand at its end and wait for the outcome."""
+    observation, info = env.reset(options={"scene": scene})
+    steps = round(duration / CONTROL_PERIOD)
+    targets = resample(movement, steps + 1)[1:]
+    state = decode(observation, TASK).robot
+    fingers, measured = state.finger_angles, [state.configuration]
+    for target in (*targets, *np.repeat(targets[-1:], RELEASE_STEPS, axis=0)):
+        action = np.zeros(7, np.float32)
+        rate = (target - state.reference) / (CONTROL_PERIOD * JOINT_VELOCITY)
+        action[:6] = np.clip(rate, -1.0, 1.0)
+        action[6] = -1.0 if len(measured) > steps else 0.0
+        observation, _, terminated, truncated, info = env.step(action)
+        state = decode(observation, TASK).robot
+        measured.append(state.configuration)
+        if terminated or truncated:
+            break
+    return Recording(np.array(measured[: steps + 1]), fingers, info)
+
+
+def record(console: Console) -> Demonstrations:
+    """Draw, execute and record all demonstrations.
+
+    Raises:
+        RuntimeError: one of them did not succeed.
+    """
+    rng = np.random.default_rng(SEED)
+    scene = Scene(
+        task=TASK,
+        start=START_CONFIGURATION,
+        manipulated=ManipulatedObject(),
+        goals=(Goal(position=NOMINAL_BIN),),
+    )
+    env = gymnasium.make("smp_gym/Placement-v0")
+    table = Table("demonstration", "duration, s", "highest, m", "speed, % of limit", "outcome")
+    trajectories, durations, fingers = [], [], []
+    for number in range(COUNT):
+        movement, duration = scripted_movement(rng), rng.uniform(*DURATION)
+        duration = round(duration / CONTROL_PERIOD) * CONTROL_PERIOD
+        speed = np.abs(np.diff(movement, axis=0)).max(axis=0) * (len(movement) - 1) / duration
+        recording = execute(env, scene, movement, duration)
+        outcome = "success" if recording.info["is_success"] else recording.info["failure"]
+        highest = (end_effector_pose(movement) @ HELD_OBJECT_POSE)[:, 2, 3].max()
+        share = float((speed / JOINT_VELOCITY).max())
+        table.add_row(
+            str(number + 1), f"{duration:.2f}", f"{highest:.3f}", f"{100 * share:.0f}", outcome
+        )
+        if outcome != "success" or share > SPEED_LIMIT:
+            console.print(table)
+            raise RuntimeError(f"demonstration {number + 1}: {outcome}, speed {share:.2f}")
+        trajectories.append(resample(recording.configurations))
+        durations.append(duration)
+        fingers.append(recording.finger_angles)
+    env.close()
+    console.print(table)
+    gripper = np.ones((COUNT, DEMONSTRATION_SAMPLES))
+    gripper[:, -1] = 0.0
+    return Demonstrations(
+        task=TASK,
+        configurations=np.array(trajectories),
+        gripper=gripper,
+        durations=np.array(durations),
+        scenes=(scene,) * COUNT,
+        metadata={
+            "recorded_by": "scripts/record_demonstrations.py",
+            "seed": SEED,
+            "finger_angles": np.mean(fingers, axis=0).tolist(),
+        },
+    )
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path(
+        "envs_assets/demonstrations/Placement.npz"
+    ),
+) -> None:
+    """Record the demonstrations of Placement; refuse to write unless all of them succeed."""
+    console = Console()
+    try:
+        demonstrations = record(console)
+    except RuntimeError as error:
+        console.print(f"nothing written: {error}")
+        raise typer.Exit(1) from error
+    demonstrations.save(out)
+    console.print(f"wrote {out}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,221 @@
+"""The workcell: arm, table, bin, object and obstacles of one scene, moved and judged."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym import assets
+from smp_gym.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
+from smp_gym.kinematics import LINKS
+from smp_gym.observation import CONTROL_PERIOD, ObjectState, RobotState
+from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene, fixtures
+from smp_gym.tasks import Status, Task
+from smp_gym.tasks.status import CALM_SPEED
+from smp_gym.world import PHYSICS_PERIOD, BulletWorld, Contact
+
+__all__ = ["CLEARANCE_LIMIT", "SUBSTEPS", "Workcell"]
+
+SUBSTEPS = round(CONTROL_PERIOD / PHYSICS_PERIOD)
+"""Physics steps per environment step."""
+
+CLEARANCE_LIMIT = 0.05
+"""m; larger clearances are not told apart."""
+
+FloatArray = NDArray[np.float64]
+
+_TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
+_BIN_COLOR = (0.30, 0.45, 0.62, 1.0)
+_OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
+_ORIGIN = (0.0, 0.0, 0.0)
+_PARKING = (0.0, 0.0, -10.0)
+
+_CLOSING_STEPS = 30
+_SETTLING_STEPS = 20
+_GRASP_TOLERANCE = 0.01
+# PyBullet never frees the shapes of bodies that were removed, a few kilobytes each.
+_SCENES_PER_WORLD = 500
+
+_HAND = frozenset(HAND_LINKS)
+
+
+@cache
+def _group(part: str) -> str:
+    """Return the group of a part, as `Task.permitted_contacts` names them."""
+    if part in _HAND:
+        return "hand"
+    if part in LINKS:
+        return "arm"
+    return "obstacle" if part.startswith("obstacle") else part
+
+
+@cache
+def _groups(pair: Contact) -> tuple[str, str]:
+    a, b = sorted((_group(pair[0]), _group(pair[1])))
+    return a, b
+
+
+class Workcell:
+    """Plays scenes of one task.
+
+    The start of an episode, the hand closed on the object, is settled once and restored from then
+    on, as long as scenes begin in the same configuration with the same object.
+
+    Args:
+        task: whose scenes are played; it says which contacts they need.
+        gui: open a window.
+
+    Attributes:
+        world: the physics.
+        arm: the arm in it, once a scene was loaded.
+        robot: measured state of the arm.
+        manipulated: measured state of the object.
+        status: what the task is told.
+        collision: names of the two parts of the first forbidden contact, or None.
+        clearance: m, the least distance so far of arm or held object to an obstacle, at most
+            `CLEARANCE_LIMIT`.
+    """
+
+    arm: Jaco
+    robot: RobotState
+    manipulated: ObjectState
+    status: Status
+
+    def __init__(self, task: Task, *, gui: bool = False) -> None:
+        self.world = BulletWorld(gui=gui)
+        self._task = task
+        self._grasp: tuple[tuple[float, ...], ManipulatedObject] | None = None
+        self._settled = -1
+        self._scenes = 0
+
+    def load(self, scene: Scene) -> None:
+        """Set up a scene and stand at its start.
+
+        Raises:
+            ValueError: the hand cannot hold the object, or the scene begins with a collision.
+        """
+        manipulated = _manipulated(scene)
+        grasp = (scene.start, manipulated)
+        if grasp != self._grasp or self._scenes >= _SCENES_PER_WORLD:
+            self._grasp = None
+            self._settle(scene, manipulated)
+            self._settled = self.world.snapshot()
+            self._grasp, self._scenes = grasp, 0
+        self._scenes += 1
+        self.world.restore(self._settled)
+        self.arm.set_reference(scene.start, 1.0)
+        self.world.place("bin", scene.goals[0].position)
+        self.world.set_obstacles(scene.obstacles)
+        self.world.detect_contacts()
+        self.collision: Contact | None = None
+        self.clearance = CLEARANCE_LIMIT
+        self._size = np.array(manipulated.size)
+        self._calm_steps = 0
+        self._squeezing = True
+        self._contacts: set[Contact] = set()
+        if self._collides():
+            raise ValueError(f"the scene begins with a collision: {self.collision}")
+        self._measure()
+
+    def advance(self, action: FloatArray) -> None:
+        """Move for one environment step, or up to the physics step that collides.
+
+        Args:
+            action: (7,) see `Jaco.integrate`.
+        """
+        self.arm.integrate(action)
+        self.arm.track()
+        self._squeezing = self.arm.squeezes(self.robot)
+        self._contacts = set()
+        for _ in range(SUBSTEPS):
+            self.world.step()
+            if self._collides():
+                break
+        self._measure()
+
+    def _settle(self, scene: Scene, manipulated: ManipulatedObject) -> None:
+        """Fill an empty world and let the hand close on the object."""
+        world = self.world
+        world.clear()
+        origin = scene.model_copy(update={"goals": (Goal(position=_ORIGIN),)})
+        table, *walls = fixtures(origin)
+        world.add_body("table", (table,), color=_TABLE_COLOR)
+        world.add_body("bin", walls, color=_BIN_COLOR, position=_PARKING)
+        self.arm = Jaco(world, assets.jaco_urdf(), scene.start)
+        block = Obstacle(shape="box", position=_ORIGIN, size=manipulated.size)
+        position, quaternion = self.arm.carried(self._task.object_in_hand)
+        world.add_body(
+            "object",
+            (block,),
+            color=_OBJECT_COLOR,
+            mass=manipulated.mass,
+            position=position.tolist(),
+            quaternion=quaternion.tolist(),
+        )
+        set_grip_friction(world, world.body("object"), -1)
+        world.reserve_obstacles()
+        self.arm.set_reference(scene.start, 1.0)
+        # Weightless until the fingers have closed on it, then let it hang.
+        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
+            world.set_gravity(gravity)
+            for _ in range(steps):
+                self.arm.track()
+                for _ in range(SUBSTEPS):
+                    world.step()
+        expected, _ = self.arm.carried(self._task.object_in_hand)
+        slip = float(np.linalg.norm(world.pose("object")[0] - expected))
+        if slip > _GRASP_TOLERANCE:
+            raise ValueError(
+                f"the hand cannot hold an object of half-extents {manipulated.size} m and "
+                f"{manipulated.mass} kg in the configuration {scene.start}"
+            )
+
+    def _collides(self) -> bool:
+        """Look for a forbidden contact, remember the first, and return whether there is one."""
+        contacts = self.world.contacts()
+        # Within a step the verdict depends on the contacts alone, and they seldom change.
+        if contacts == self._contacts:
+            return False
+        self._contacts = contacts
+        permitted = self._task.permitted_contacts(self._held())
+        forbidden = [pair for pair in contacts if _groups(pair) not in permitted]
+        if forbidden and self.collision is None:
+            self.collision = min(forbidden)
+        return bool(forbidden)
+
+    def _touching_object(self) -> frozenset[str]:
+        """Return the groups that touch the object."""
+        return frozenset(
+            _group(b if a == "object" else a) for a, b in self._contacts if "object" in (a, b)
+        )
+
+    def _held(self) -> bool:
+        """Return whether the hand grips the object: touches it and is not opening."""
+        return self._squeezing and "hand" in self._touching_object()
+
+    def _measure(self) -> None:
+        world = self.world
+        self.robot = self.arm.state()
+        position, quaternion = world.pose("object")
+        linear, angular = world.velocity("object")
+        self.manipulated = ObjectState(position, quaternion, linear, angular, self._size)
+        touching, held = self._touching_object(), self._held()
+        still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in touching
+        self._calm_steps = self._calm_steps + 1 if still else 0
+        movers = (ARM, "object") if held else (ARM,)
+        self.clearance = world.clearance(movers, world.obstacles, self.clearance)
+        self.status = Status(
+            object_position=position,
+            object_contacts=touching,
+            held=held,
+            calm_steps=self._calm_steps,
+            collided=self.collision is not None,
+        )
+
+
+def _manipulated(scene: Scene) -> ManipulatedObject:
+    if scene.manipulated is None:
+        raise ValueError("scene.manipulated must be an object, got None")
+    return scene.manipulated

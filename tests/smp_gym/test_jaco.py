@@ -1,0 +1,172 @@
+"""The arm in the physics, checked against kinematics and against what was commanded."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from smp_gym import assets, kinematics
+from smp_gym.env import ManipulationEnv
+from smp_gym.jaco import FINGER_CLOSED, Jaco
+from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE
+from smp_gym.scene import TABLE
+from smp_gym.scene_sampling import sample_scene
+from smp_gym.tasks.placement import GRASP_FINGER_ANGLES, START_CONFIGURATION
+from smp_gym.workcell import SUBSTEPS
+from smp_gym.world import BulletWorld
+
+GREY = (0.5, 0.5, 0.5, 1.0)
+
+
+@pytest.fixture
+def arm():
+    world = BulletWorld()
+    world.add_body("table", [TABLE], color=GREY)
+    arm = Jaco(world, assets.jaco_urdf(), START_CONFIGURATION)
+
+    def step(action):
+        arm.integrate(np.asarray(action, np.float64))
+        arm.track()
+        for _ in range(SUBSTEPS):
+            world.step()
+
+    arm.step = step
+    arm.world = world
+    yield arm
+    world.close()
+
+
+def test_it_stands_where_it_was_put(arm):
+    np.testing.assert_allclose(arm.state().configuration, START_CONFIGURATION, atol=1e-12)
+    assert arm.gripper_reference == 0.0
+    arm.world.detect_contacts()
+    assert arm.world.contacts() == set()
+
+
+def test_end_effector_agrees_with_kinematics(arm):
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        arm.step([*rng.uniform(-1, 1, 6), 0.0])
+        state = arm.state()
+        pose = kinematics.end_effector_pose(state.configuration)
+        np.testing.assert_allclose(state.end_effector_position, pose[:3, 3], atol=1e-6)
+        rotation = Rotation.from_quat(state.end_effector_quaternion).as_matrix()
+        np.testing.assert_allclose(rotation, pose[:3, :3], atol=1e-6)
+
+
+def test_something_carried_moves_with_the_hand(arm):
+    offset = np.eye(4)
+    offset[:3, :3] = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    offset[:3, 3] = (0.1, 0.02, -0.03)
+    expected = kinematics.end_effector_pose(np.array(START_CONFIGURATION)) @ offset
+    position, quaternion = arm.carried(offset)
+    np.testing.assert_allclose(position, expected[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(
+        Rotation.from_quat(quaternion).as_matrix(), expected[:3, :3], atol=1e-6
+    )
+
+
+def test_the_reference_is_the_integral_of_the_actions(arm):
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-1, 1, (20, 7))
+    actions[:, 6] = np.abs(actions[:, 6]) * 0.5
+    for action in actions:
+        arm.integrate(action)
+    moved = actions[:, :6].sum(axis=0) * kinematics.JOINT_VELOCITY * CONTROL_PERIOD
+    np.testing.assert_allclose(arm.reference, START_CONFIGURATION + moved, atol=1e-12)
+    closed = actions[:, 6].sum() * GRIPPER_RATE * CONTROL_PERIOD
+    assert arm.gripper_reference == pytest.approx(closed)
+
+
+def test_the_reference_stops_at_the_limits(arm):
+    for sign, limit in ((1, kinematics.JOINT_UPPER), (-1, kinematics.JOINT_LOWER)):
+        for _ in range(500):
+            arm.integrate(np.full(7, float(sign)))
+        np.testing.assert_array_equal(arm.reference, limit)
+        assert arm.gripper_reference == max(sign, 0)
+
+
+def test_smooth_motion_at_the_velocity_limit_is_tracked_closely(arm):
+    rng = np.random.default_rng(2)
+    way = rng.choice([-1.0, 1.0], 6) * 0.4
+    peak = 1.875  # of the minimum-jerk profile's velocity, per way and duration
+    steps = int(np.ceil(peak * np.abs(way / kinematics.JOINT_VELOCITY).max() / CONTROL_PERIOD))
+    s = np.linspace(0, 1, steps + 1)
+    profile = (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * way
+    for move in np.diff(profile, axis=0):
+        action = move / (kinematics.JOINT_VELOCITY * CONTROL_PERIOD)
+        assert np.abs(action).max() <= 1.0
+        arm.step([*action, 0.0])
+        error = np.abs(arm.state().configuration - arm.reference)
+        assert error.max() < 5e-4
+    expected = kinematics.end_effector_pose(START_CONFIGURATION + way)[:3, 3]
+    assert np.linalg.norm(arm.state().end_effector_position - expected) < 2e-4
+
+
+def test_the_arm_does_not_sag(arm):
+    for _ in range(100):
+        arm.step(np.zeros(7))
+    np.testing.assert_allclose(arm.state().configuration, START_CONFIGURATION, atol=1e-4)
+
+
+def test_fingers_close_and_open_together(arm):
+    for _ in range(40):
+        arm.step([0, 0, 0, 0, 0, 0, 1.0])
+    angles = arm.state().finger_angles
+    assert angles[0] == pytest.approx(angles[1], abs=0.02)
+    assert angles[0] > 1.0
+    assert arm.squeezes(arm.state())
+    for _ in range(60):
+        arm.step([0, 0, 0, 0, 0, 0, -1.0])
+    np.testing.assert_allclose(arm.state().finger_angles, 0.0, atol=0.03)
+    assert not arm.squeezes(arm.state())
+
+
+def test_a_release_begins_when_the_command_falls_below_the_fingers():
+    env = ManipulationEnv(difficulty="none")
+    env.reset(seed=0)
+    arm = env._cell.arm
+    held_at = arm.state().finger_angles[:2].mean()
+    while arm.gripper_reference * FINGER_CLOSED > held_at + 0.03:
+        assert arm.squeezes(arm.state())
+        env.step(np.array([0, 0, 0, 0, 0, 0, -0.2], np.float32))
+    for _ in range(4):
+        env.step(np.array([0, 0, 0, 0, 0, 0, -0.2], np.float32))
+    assert not arm.squeezes(arm.state())
+    env.close()
+
+
+def test_the_settled_grasp_is_the_one_that_planners_know():
+    env = ManipulationEnv(difficulty="none")
+    env.reset(seed=0)
+    state = env._cell.arm.state()
+    np.testing.assert_allclose(state.finger_angles, GRASP_FINGER_ANGLES, atol=0.01)
+    expected, _ = env._cell.arm.carried(env.task.object_in_hand)
+    position, _ = env._cell.world.pose("object")
+    assert np.linalg.norm(position - expected) < 2e-3
+    env.close()
+
+
+def test_friction_holds_the_object_at_nine_tenths_of_the_velocity_limit():
+    env = ManipulationEnv(difficulty="none")
+    scene = sample_scene("Placement", "none", 0)
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        env.reset(options={"scene": scene})
+        direction = rng.choice([-0.9, 0.9], 6)
+        # Upwards in the shoulder, so that the table is out of the way.
+        direction[1] = -0.9
+        before = _object_in_hand(env)
+        # Full speed at once, then a full stop.
+        for step in range(30):
+            velocity = direction if step < 20 else np.zeros(6)
+            info = env.step(np.append(velocity, 0.0).astype(np.float32))[4]
+            assert not info["collided"], info["collision"]
+        assert np.linalg.norm(_object_in_hand(env) - before) < 2e-3
+    env.close()
+
+
+def _object_in_hand(env):
+    state = env._cell.arm.state()
+    position, _ = env._cell.world.pose("object")
+    hand = Rotation.from_quat(state.end_effector_quaternion)
+    return hand.inv().apply(position - state.end_effector_position)
