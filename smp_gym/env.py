@@ -36,7 +36,7 @@ SHAPING_DISCOUNT = 0.99
 """Discount in the dense reward's difference of potentials. Shaping leaves the best policy what it
 is if the agent discounts by the same."""
 
-DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.2), distance=1.75, yaw=62.0, pitch=-28.0)
+DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.23), distance=1.5, yaw=62.0, pitch=-28.0)
 
 _ACTION_TOLERANCE = 1e-6
 

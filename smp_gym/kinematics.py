@@ -1,9 +1,9 @@
 """The arm as numbers: chain, limits, link spheres, forward and inverse kinematics; no physics.
 
-The arm is a Kinova JACO j2s6s200: six revolute joints, two fingers of two links each. The constants
-are those of the manufacturer's robot description; `scripts/make_jaco_assets.py` writes the simulated
-arm from the same numbers. Joint i turns LINKS[i + 1] about the z axis of its frame. Metres, radians,
-seconds; poses are (4, 4) homogeneous matrices.
+The arm is a Kinova JACO j2s6s200: six revolute joints, two fingers of two links each. The
+constants are those of the manufacturer's robot description; `scripts/make_jaco_assets.py` writes
+the simulated arm from the same numbers. Joint i turns LINKS[i + 1] about the z axis of its frame.
+Metres, radians, seconds; poses are (4, 4) homogeneous matrices.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def link_transforms(configurations: ArrayLike) -> FloatArray:
 
 
 def end_effector_pose(configurations: ArrayLike) -> FloatArray:
-    """Return the end-effector frame (..., 4, 4) in the base frame; argument as `link_transforms`."""
+    """Return the end-effector frame (..., 4, 4) in the base frame, for (..., 6) rad."""
     return np.asarray(link_transforms(configurations)[..., -1, :, :] @ END_EFFECTOR)
 
 
@@ -260,16 +260,15 @@ def finger_spheres(finger_angles: ArrayLike) -> SphereSet:
     return SphereSet(np.full(len(center), _HAND), center, np.concatenate(radii))
 
 
-def box_spheres(half_extents: ArrayLike, pose: ArrayLike, cells: int = 3) -> SphereSet:
+def box_spheres(half_extents: ArrayLike, pose: ArrayLike) -> SphereSet:
     """Return spheres that cover a box held in the hand.
 
-    The box is cut into equal cells, at most `cells` along an axis and as near to cubes as that
-    allows; each cell lies in the ball through its corners.
+    The box is cut into equal cells, about half as wide as its shortest side but not more than six
+    along an axis; each cell lies in the ball through its corners.
 
     Args:
         half_extents: (3,) m, positive.
         pose: (4, 4) of the box in the end-effector frame.
-        cells: cells along the longest axis.
 
     Raises:
         ValueError: wrong shape, not finite, or an extent is not positive.
@@ -278,7 +277,7 @@ def box_spheres(half_extents: ArrayLike, pose: ArrayLike, cells: int = 3) -> Sph
     placed = END_EFFECTOR @ _checked("pose", pose, (4, 4))
     if not (half > 0.0).all():
         raise ValueError(f"half_extents must be positive, got {half}")
-    counts = np.maximum(np.round(cells * half / half.max()), 1).astype(int)
+    counts = np.ceil(half / max(half.min() / 2, half.max() / 6) - 1e-9).astype(int)
     axes = [h * ((2 * np.arange(n) + 1) / n - 1) for h, n in zip(half, counts, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     radius = float(np.linalg.norm(half / counts))

@@ -93,7 +93,7 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
 }
 """``achieved_goal`` and ``desired_goal`` of each task. A flag of 1 in the desired goal is demanded."""
 
-Array = NDArray[np.floating[Any]]
+Array = NDArray[np.float64]
 Observation = dict[str, NDArray[np.float32]]
 
 
@@ -292,7 +292,7 @@ def _as_dict(observation: Any, task: str) -> dict[str, Array]:
                 f"observation must be a dict or a flat vector of {spaces.flatdim(space)} entries, "
                 f"got {type(observation).__name__} of shape {flat.shape}"
             )
-        vectors = spaces.unflatten(space, flat)  # type: ignore[assignment]
+        vectors = dict(spaces.unflatten(space, flat))  # type: ignore[arg-type]
     for key, vector in vectors.items():
         box = space[key]
         if vector.shape != box.shape:

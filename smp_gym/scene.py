@@ -1,8 +1,8 @@
 """Scenes: what an episode contains, as frozen data that goes to JSON and back.
 
 A scene holds everything that `reset` draws at random: obstacles, goals, the manipulated object and
-the start configuration. Lengths are metres in the robot's base frame, whose origin lies on the table
-top (z = 0, z up); angles are radians; quaternions are (x, y, z, w).
+the start configuration. Lengths are metres in the robot's base frame, whose origin lies on the
+table top (z = 0, z up); angles are radians; quaternions are (x, y, z, w).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ BIN_INNER_HALF_WIDTH = 0.08
 BIN_WALL_THICKNESS = 0.01
 BIN_FLOOR_THICKNESS = 0.01
 BIN_HEIGHT = 0.10
-"""The bin of Placement: a square open box, metres; `BIN_HEIGHT` is from its floor's top to its rim."""
+"""The bin of Placement, a square open box, m; `BIN_HEIGHT` is from its floor's top to its rim."""
 
 
 def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -60,9 +60,7 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
 
 
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Configuration = tuple[
-    FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat
-]
+Configuration = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Quaternion = Annotated[
     tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_unit)
 ]
@@ -96,7 +94,9 @@ class Obstacle(_Frozen):
     def _sizes_agree(self) -> Obstacle:
         x, y, z = self.size
         if self.shape == "cylinder" and x != y:
-            raise ValueError(f"size of a cylinder is (radius, radius, half height), got {self.size}")
+            raise ValueError(
+                f"size of a cylinder is (radius, radius, half height), got {self.size}"
+            )
         if self.shape == "sphere" and not (x == y == z):
             raise ValueError(f"size of a sphere is (radius, radius, radius), got {self.size}")
         return self
@@ -169,8 +169,8 @@ class Scene(_Frozen):
         return cls.model_validate_json(text)
 
 
-TABLE = Obstacle(shape="box", position=(0.0, 0.0, -0.05), size=(1.5, 1.5, 0.05))
-"""The table, its top at z = 0."""
+TABLE = Obstacle(shape="box", position=(0.0, 0.0, -0.3), size=(1.5, 1.5, 0.3))
+"""The table, its top at z = 0; so thick that from wherever the arm gets to, the way out is up."""
 
 
 def _bin_boxes(goal: Goal) -> tuple[Obstacle, ...]:

@@ -232,10 +232,8 @@ def _placement() -> _Task:
     demonstrations = Demonstrations.load(_PLACEMENT)
     spheres = kinematics.concatenate(
         kinematics.arm_spheres(),
-        kinematics.finger_spheres(np.asarray(placement.GRASP_FINGER_ANGLES)),
-        kinematics.box_spheres(
-            np.asarray(ManipulatedObject().size), np.asarray(placement.HELD_OBJECT_POSE)
-        ),
+        kinematics.finger_spheres(demonstrations.metadata["finger_angles"]),
+        kinematics.box_spheres(ManipulatedObject().size, placement.HELD_OBJECT_POSE),
     )
     end = demonstrations.mean[-1]
     pose = kinematics.end_effector_pose(end)

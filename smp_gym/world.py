@@ -340,6 +340,7 @@ class BulletWorld:
             projection,
             shadow=1,
             lightDirection=(1.0, -1.2, 3.0),
+            lightDistance=3.0,
             lightAmbientCoeff=0.6,
             lightDiffuseCoeff=0.45,
             lightSpecularCoeff=0.15,

@@ -25,13 +25,12 @@ from smp_planner.problem import GoalRegion
 from smp_planner.robot_model import RobotModel
 
 __all__ = [
-    "EXECUTABLE_FRACTION",
     "REACH",
     "REFERENCE_STEPS",
+    "VELOCITY_FRACTION",
     "CarriedBoxCost",
     "CollisionCost",
     "Cost",
-    "DurationCost",
     "GoalCost",
     "JointLimitCost",
     "SelfCollisionCost",
@@ -50,8 +49,8 @@ REFERENCE_STEPS = 50
 REACH = 6.0
 """Edge widths from a sphere's surface at which its occupancy counts as zero (p^2 = 6e-6 there)."""
 
-EXECUTABLE_FRACTION = 0.95
-"""Share of a joint's velocity limit that plans may use; the rest is for tracking."""
+VELOCITY_FRACTION = 0.9
+"""Share of a joint's velocity limit that plans may use: up to it the grasp is known to hold."""
 
 
 class Cost(Protocol):
@@ -328,7 +327,7 @@ class VelocityLimitCost:
 
     velocity: FloatArray
     duration: float
-    fraction: float = EXECUTABLE_FRACTION
+    fraction: float = VELOCITY_FRACTION
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity", _velocities(self.velocity))
@@ -344,45 +343,6 @@ class VelocityLimitCost:
         scale = REFERENCE_STEPS / steps.shape[1]
         gradient = _from_differences(2.0 * scale * excess * per_step)
         return scale * np.square(excess).sum(axis=(1, 2)), gradient
-
-
-@dataclass(frozen=True, eq=False)
-class DurationCost:
-    """Squared relative excess of the shortest duration over a limit.
-
-    The duration is that of `verification.minimum_duration`: each segment takes as long as its
-    slowest joint needs. It is what makes a plan executable, while `VelocityLimitCost` asks for
-    more: an even phase.
-
-    Attributes:
-        velocity: (n,) rad/s.
-        duration: s, the limit.
-        fraction: share of the velocity limits that may be used.
-    """
-
-    velocity: FloatArray
-    duration: float
-    fraction: float = EXECUTABLE_FRACTION
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "velocity", _velocities(self.velocity))
-        _positive("duration", self.duration)
-        _positive("fraction", self.fraction)
-
-    def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
-        """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad.
-
-        Where two joints are equally slow the gradient is that of the first.
-        """
-        steps = _differences(trajectories, len(self.velocity))
-        shares = steps / (self.duration * self.fraction * self.velocity)
-        slowest = np.abs(shares).argmax(axis=2)[..., None]
-        largest = np.take_along_axis(shares, slowest, axis=2)
-        excess = np.maximum(np.abs(largest).sum(axis=(1, 2)) - 1.0, 0.0)
-        slope = np.sign(largest) / (self.duration * self.fraction * self.velocity)[slowest]
-        parts = np.zeros(steps.shape)
-        np.put_along_axis(parts, slowest, 2.0 * excess[:, None, None] * slope, axis=2)
-        return np.square(excess), _from_differences(parts)
 
 
 @dataclass(frozen=True, eq=False)

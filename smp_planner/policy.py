@@ -1,7 +1,7 @@
 """`PlannerPolicy`: any planner as a policy with the interface of a stable-baselines3 agent.
 
-The policy plans when an episode begins and then executes one trajectory of the plan. All it knows of
-the world it reads from the observation, so it runs wherever an agent runs: behind wrappers, in
+The policy plans when an episode begins and then executes one trajectory of the plan. All it knows
+of the world it reads from the observation, so it runs wherever an agent runs: behind wrappers, in
 `DummyVecEnv` and `SubprocVecEnv`, in `evaluate_policy` and `EvalCallback`.
 """
 
@@ -86,7 +86,8 @@ class PlannerPolicy:
         Raises:
             ValueError: unknown method, task or setting; the message lists what exists.
         """
-        return cls(make_planner(method, task, demonstrations=demonstrations, settings=settings), seed)
+        planner = make_planner(method, task, demonstrations=demonstrations, settings=settings)
+        return cls(planner, seed)
 
     def set_random_seed(self, seed: int | None = None) -> None:
         """Set the policy's seed; None means 0."""
@@ -123,9 +124,11 @@ class PlannerPolicy:
         """
         rows, batched = self._rows(observation)
         if state is not None and len(state) != len(rows):
-            raise ValueError(f"state must have one entry per observation ({len(rows)}), got {len(state)}")
+            raise ValueError(
+                f"state must have one entry for each of {len(rows)} observations, got {len(state)}"
+            )
         decoded = [decode(row, self.task) for row in rows]
-        executions: list[Execution | None] = list(state) if state is not None else [None] * len(rows)
+        executions: list[Execution | None] = [None] * len(rows) if state is None else list(state)
         digests = {
             i: self._digest(rows[i])
             for i in range(len(rows))
@@ -161,7 +164,7 @@ class PlannerPolicy:
         return (list(array), True) if array.ndim == 2 else ([array], False)
 
     def _digest(self, row: Any) -> int:
-        """Return a fingerprint of an observation and the policy's seed, the same raw or flattened."""
+        """Return a fingerprint of observation and seed, the same for raw and flattened."""
         flat = spaces.flatten(self.observation_space, row) if isinstance(row, Mapping) else row
         content = np.ascontiguousarray(flat, np.float32).tobytes()
         seed = self.seed.to_bytes(8, "little", signed=False)
@@ -183,7 +186,7 @@ class PlannerPolicy:
         return Execution(plan, particle, track, problem.seed)
 
     def save(self, path: str | Path) -> None:
-        """Write method, settings, demonstrations and seed to one file (a zip of JSON and arrays; no pickle)."""
+        """Write method, settings, demonstrations and seed to one file, without pickle."""
         write_policy(Path(path), self.planner, self.seed)
 
     @classmethod

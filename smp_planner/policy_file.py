@@ -1,8 +1,8 @@
-"""The file format of a saved policy: a zip of a JSON header and the demonstrations, loaded without code.
+"""The file format of a saved policy: a zip of a JSON header and the demonstrations; runs no code.
 
 The header names format, version, method, settings and seed; the demonstrations follow as the file
-that `Demonstrations.save` writes. The primitive is fitted again on loading, which takes milliseconds and
-keeps file and code from drifting apart.
+that `Demonstrations.save` writes. The primitive is fitted again on loading, which takes
+milliseconds and keeps file and code from drifting apart.
 """
 
 from __future__ import annotations

@@ -43,7 +43,8 @@ class GoalRegion:
 
     def __post_init__(self) -> None:
         for name in ("point", "lower", "upper"):
-            object.__setattr__(self, name, _checked(f"GoalRegion.{name}", getattr(self, name), (3,)))
+            value = _checked(f"GoalRegion.{name}", getattr(self, name), (3,))
+            object.__setattr__(self, name, value)
         if not (self.lower <= self.upper).all():
             raise ValueError(f"GoalRegion.lower {self.lower} must not exceed upper {self.upper}")
 

@@ -211,7 +211,7 @@ class RobotModel:
             )
 
         def constant(value: FloatArray) -> torch.Tensor:
-            return torch.as_tensor(value, dtype=q.dtype, device=q.device)
+            return torch.tensor(value, dtype=q.dtype, device=q.device)
 
         cosine, sine = torch.cos(q), torch.sin(q)
         zero, one = torch.zeros_like(q[..., 0]), torch.ones_like(q[..., 0])
@@ -234,8 +234,8 @@ class RobotModel:
             configurations: (..., n) rad.
         """
         poses = self.link_transforms(configurations)
-        poses = poses[..., torch.as_tensor(self.link, device=poses.device), :, :]
-        center = torch.as_tensor(self.center, dtype=poses.dtype, device=poses.device)
+        poses = poses[..., torch.tensor(self.link, device=poses.device), :, :]
+        center = torch.tensor(self.center, dtype=poses.dtype, device=poses.device)
         return (poses[..., :3, :3] @ center[..., None])[..., 0] + poses[..., :3, 3]
 
 

@@ -1,8 +1,9 @@
-"""From a trajectory to actions: time scaling to the joint limits, and the gripper's events.
+"""From a trajectory to actions, and the gripper's events on the way.
 
-The environments integrate an action into a joint reference that the motors follow, so a trajectory
-is executed by asking, at each control step, for the difference between where the reference shall be
-and where it is. Nothing accumulates: a step that was cut off at the limits is caught up by the next.
+The environments integrate an action into a joint reference that the motors follow, so a
+trajectory is executed by asking, at each control step, for the difference between where the
+reference shall be and where it is. Nothing accumulates: a step that was cut off at the limits is
+caught up by the next.
 """
 
 from __future__ import annotations
@@ -15,29 +16,12 @@ from numpy.typing import NDArray
 from smp_gym.kinematics import JOINT_VELOCITY
 from smp_gym.observation import CONTROL_PERIOD
 
-__all__ = ["VELOCITY_FRACTION", "GripperEvent", "Track", "gripper_event", "minimum_duration"]
-
-VELOCITY_FRACTION = 0.9
-"""Share of the velocity limits that execution uses: up to it the grasp is known to hold."""
+__all__ = ["SETTLING_STEPS", "GripperEvent", "Track", "gripper_event"]
 
 SETTLING_STEPS = 4
 """Control steps between arriving and opening the hand, so that the object drops from rest."""
 
 FloatArray = NDArray[np.float64]
-
-
-def minimum_duration(trajectories: FloatArray) -> FloatArray:
-    """Return the shortest time in which trajectories can be executed at constant phase speed.
-
-    Args:
-        trajectories: (..., T, 6) rad, at equal steps of phase, T at least 2.
-
-    Returns:
-        (...) s, so that no joint exceeds `VELOCITY_FRACTION` of its limit.
-    """
-    steps = trajectories.shape[-2] - 1
-    fastest = np.abs(np.diff(trajectories, axis=-2)).max(-2) / (VELOCITY_FRACTION * JOINT_VELOCITY)
-    return np.asarray(fastest.max(-1) * steps)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.scene import Obstacle
 from smp_planner.compiled import FAST, chain, place, sine_cosine
-from smp_planner.costs import EXECUTABLE_FRACTION, check_trajectories
+from smp_planner.costs import VELOCITY_FRACTION, check_trajectories
 from smp_planner.occupancy.analytic import PackedObstacles, point_distance
 from smp_planner.robot_model import RobotModel
 
@@ -32,7 +32,6 @@ __all__ = [
     "Verification",
     "check_collisions",
     "minimum_duration",
-    "segment_durations",
     "verify",
     "within_joint_limits",
 ]
@@ -331,13 +330,13 @@ def check_collisions(
     return CollisionCheck(clearance, (clearance >= tolerance) & self_free, self_free)
 
 
-def segment_durations(
-    trajectories: ArrayLike, velocity: ArrayLike, fraction: float = EXECUTABLE_FRACTION
+def minimum_duration(
+    trajectories: ArrayLike, velocity: ArrayLike, fraction: float = VELOCITY_FRACTION
 ) -> FloatArray:
-    """Return how long each segment takes at least, (P,T-1) s, when its slowest joint sets the pace.
+    """Return the shortest duration (P,) s within the velocity limits, the phase running evenly.
 
     Args:
-        trajectories: (P,T,n) rad.
+        trajectories: (P,T,n) rad, at equal steps of phase.
         velocity: (n,) rad/s, velocity limits.
         fraction: share of the limits that may be used.
 
@@ -350,31 +349,8 @@ def segment_durations(
     if not (math.isfinite(fraction) and fraction > 0.0):
         raise ValueError(f"fraction must be positive, got {fraction}")
     q = check_trajectories(trajectories, len(limits))
-    return (np.abs(np.diff(q, axis=1)) / (fraction * limits)).max(axis=2)
-
-
-def minimum_duration(
-    trajectories: ArrayLike,
-    velocity: ArrayLike,
-    fraction: float = EXECUTABLE_FRACTION,
-    even: bool = False,
-) -> FloatArray:
-    """Return the shortest duration (P,) s within the velocity limits.
-
-    Args:
-        trajectories: (P,T,n) rad.
-        velocity: (n,) rad/s, velocity limits.
-        fraction: share of the limits that may be used.
-        even: whether the phase must run evenly, so that the slowest segment sets the pace of all;
-            otherwise every segment takes what it needs.
-
-    Raises:
-        ValueError: as in `segment_durations`.
-    """
-    durations = segment_durations(trajectories, velocity, fraction)
-    if even and durations.shape[1]:
-        return durations.max(axis=1) * durations.shape[1]
-    return durations.sum(axis=1)
+    shortest = (np.abs(np.diff(q, axis=1)) / (fraction * limits)).max(axis=(1, 2), initial=0.0)
+    return np.asarray(shortest * (q.shape[1] - 1))
 
 
 def within_joint_limits(trajectories: ArrayLike, robot: RobotModel) -> BoolArray:

@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -17,11 +17,10 @@ from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import UnreachableError
-from smp_planner.movement_primitives import ProMP, phases, smooth_covariance
+from smp_planner.movement_primitives import ProMP, smooth_covariance
 from smp_planner.problem import Plan, Problem
 from smp_planner.robot_model import RobotModel, jaco_model
-from smp_planner.tracking import minimum_duration
-from smp_planner.verification import verify
+from smp_planner.verification import Verification, verify
 
 __all__ = ["PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
 
@@ -54,6 +53,17 @@ class PlannerSettings(BaseModel):
     particles: int = Field(default=42, ge=1)
     smooth_std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Keep torch to one thread: its matrices are small here, and waking others costs more."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class Stopwatch:
@@ -134,24 +144,13 @@ def _tie(primitive: ProMP, problem: Problem, robot: RobotModel) -> TiedPrimitive
     posture = _final_posture(tied, problem, robot)
     goal = min(
         problem.goals,
-        key=lambda g: float(
-            np.linalg.norm(robot.carried_points(posture, g.point)[0] - g.center)
-        ),
+        key=lambda g: float(np.linalg.norm(robot.carried_points(posture, g.point)[0] - g.center)),
     )
     jacobian = robot.carried_points(posture, goal.point)[1] / GOAL_STD
     information = jacobian.T @ jacobian + np.eye(len(posture)) / POSTURE_STD**2
     covariance = torch.from_numpy(np.linalg.inv(information))
     tied = tied.condition(1.0, torch.from_numpy(posture), (covariance + covariance.mT) / 2)
     return TiedPrimitive(tied, posture)
-
-
-@dataclass(frozen=True)
-class _Judged:
-    """The particles of one attempt with all that is known of them; see `Plan`."""
-
-    weights: FloatArray
-    trajectories: FloatArray
-    costs: dict[str, FloatArray] = field(default_factory=dict)
 
 
 class PlannerModel(ABC):
@@ -174,9 +173,14 @@ class PlannerModel(ABC):
             np.array(demonstrations.configurations), smooth_std=self.settings.smooth_std
         )
 
-    @abstractmethod
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""
+        with _one_thread():
+            return [self._plan(problem) for problem in problems]
+
+    @abstractmethod
+    def _plan(self, problem: Problem) -> Plan:
+        """Return the plan for one problem."""
 
     def tie(self, problem: Problem, robot: RobotModel, width: float = 1.0) -> TiedPrimitive:
         """Return the primitive conditioned on start and goal of a problem.
@@ -224,13 +228,12 @@ class PlannerModel(ABC):
         with stopwatch.stage("verification"):
             weights = tied.primitive.unwhiten(latent)
             trajectories = tied.primitive.trajectory(weights, SAMPLES).numpy()
-            verdict = verify(trajectories, robot, problem.obstacles)
-            duration = minimum_duration(trajectories)
-            executable = verdict.within_limits & (duration <= self.settings.duration_limit)
+            verdict = verify(trajectories, robot, problem.obstacles, self.settings.duration_limit)
+            executable = verdict.executable
             goal_error = _goal_error(problem, robot, trajectories[:, -1])
             costs = {"prior": 0.5 * latent.square().sum(-1).numpy(), **costs}
             good = verdict.collision_free & executable
-            chosen = _choose(verdict.collision_free, executable, verdict.clearance, goal_error, costs)
+            chosen = _choose(verdict, goal_error, costs)
         message = ""
         if not good.any():
             message = (
@@ -246,7 +249,7 @@ class PlannerModel(ABC):
             collision_free=verdict.collision_free,
             clearance=verdict.clearance,
             goal_error=goal_error,
-            duration=duration,
+            duration=verdict.duration,
             executable=executable,
             chosen=chosen,
             timings=stopwatch.timings,
@@ -267,16 +270,11 @@ SAFE_CLEARANCE = 0.01
 """Clearance, m, beyond which more of it makes a particle no better."""
 
 
-def _choose(
-    collision_free: NDArray[np.bool_],
-    executable: NDArray[np.bool_],
-    clearance: FloatArray,
-    goal_error: FloatArray,
-    costs: dict[str, FloatArray],
-) -> int:
-    """Return the best particle: what is demanded comes first, then likeness to the demonstrations."""
-    demanded = 4.0 * collision_free + 2.0 * executable + 1.0 * (goal_error < 0.005)
-    unsafe = np.where(collision_free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
+def _choose(verdict: Verification, goal_error: FloatArray, costs: dict[str, FloatArray]) -> int:
+    """Return the best particle: what is demanded first, then likeness to the demonstrations."""
+    free, clearance = verdict.collision_free, verdict.clearance
+    demanded = 4.0 * free + 2.0 * verdict.executable + 1.0 * (goal_error < 0.005)
+    unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
     # One unit of the prior is worth a tenth of a millimetre of missing clearance.
     merit = -costs["prior"] - 1e4 * unsafe - 1e3 * goal_error
     return int(np.lexsort((merit, demanded))[-1])
@@ -285,6 +283,3 @@ def _choose(
 def jaco_with(problem: Problem) -> RobotModel:
     """Return the arm with the spheres that a problem attaches to its hand."""
     return jaco_model(problem.attached)
-
-
-

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from smp_planner.planners.base import PlannerModel, Stopwatch, jaco_with
 from smp_planner.problem import Plan, Problem
 
@@ -14,10 +12,6 @@ class ProMPPlanner(PlannerModel):
     """Draws from the conditioned primitive (Sec. III-A), the best of which is executed."""
 
     name = "promp"
-
-    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
-        """Return one plan for each problem; the same problem gives the same plan."""
-        return [self._plan(problem) for problem in problems]
 
     def _plan(self, problem: Problem) -> Plan:
         stopwatch = Stopwatch()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -15,6 +14,7 @@ from torch import Tensor
 from smp_gym.demonstrations import Demonstrations
 from smp_planner.costs import (
     CollisionCost,
+    Cost,
     GoalCost,
     JointLimitCost,
     SelfCollisionCost,
@@ -39,7 +39,6 @@ from smp_planner.planners.base import (
 )
 from smp_planner.problem import Plan, Problem
 from smp_planner.robot_model import RobotModel
-from smp_planner.tracking import VELOCITY_FRACTION
 
 __all__ = ["SMPPlanner", "SMPSettings"]
 
@@ -100,10 +99,6 @@ class SMPPlanner(PlannerModel):
             inference = replace(inference, step_size=s.step_size)
         self._inference = inference
 
-    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
-        """Return one plan for each problem; the same problem gives the same plan."""
-        return [self._plan(problem) for problem in problems]
-
     def _plan(self, problem: Problem) -> Plan:
         stopwatch = Stopwatch()
         with stopwatch.stage("map"):
@@ -145,6 +140,9 @@ class SMPPlanner(PlannerModel):
             else:
                 prior_score, score = primitive.score(particles), -pulled
             state = step(state, prior_score, score, self._inference)
+            if not whiten:
+                # Raw weights leave what conditioning made certain, the start above all.
+                state = state._replace(particles=primitive.project(state.particles))
         latent = state.particles if whiten else primitive.whiten(state.particles)
         weights = primitive.unwhiten(latent)
         return latent, likelihood.costs((values @ weights.reshape(shape)).numpy())
@@ -172,12 +170,12 @@ class Likelihood:
     def __init__(self, problem: Problem, robot: RobotModel, settings: SMPSettings) -> None:
         self._settings = settings
         self._obstacles = CollisionCost(robot, _baked_map(problem, settings))
-        terms = {
+        terms: dict[str, tuple[float, Cost]] = {
             "self_collision": (settings.self_collision_weight, SelfCollisionCost(robot)),
             "goal": (1.0, GoalCost(robot, problem.goals, settings.goal_sigma)),
             "velocity": (
                 settings.velocity_weight,
-                VelocityLimitCost(robot.velocity, settings.duration_limit, VELOCITY_FRACTION),
+                VelocityLimitCost(robot.velocity, settings.duration_limit),
             ),
             "joint_limits": (
                 settings.limit_weight,
@@ -195,9 +193,10 @@ class Likelihood:
         """
         first, last = self._settings.edge_width
         width = first * (last / first) ** progress
-        gradient = self._settings.obstacle_weight * self._obstacles(
-            trajectories, edge_width=width, margin=self._settings.margin
-        )[1]
+        gradient = (
+            self._settings.obstacle_weight
+            * self._obstacles(trajectories, edge_width=width, margin=self._settings.margin)[1]
+        )
         for weight, cost in self._terms.values():
             gradient += weight * cost(trajectories)[1]
         return gradient

@@ -1,5 +1,7 @@
 """Costs and gradients against autograd through plain tensors, finite differences and geometry."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,7 @@ from smp_gym.scene import TABLE, Obstacle
 from smp_planner import compiled, costs
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 from smp_planner.problem import GoalRegion
-from smp_planner.robot_model import RobotModel, jaco_model
+from smp_planner.robot_model import jaco_model
 
 OBSTACLES = (
     TABLE,
@@ -120,19 +122,8 @@ def test_nothing_near_costs_exactly_nothing(robot):
 def test_the_mount_may_stand_on_the_table(robot):
     grid = bake_analytic([TABLE])
     base = SphereSet(np.array([0]), np.array([[0.0, 0.0, -0.05]]), np.array([0.1]))
-    cost = costs.CollisionCost(
-        RobotModel(
-            robot.base,
-            robot.joint_origins,
-            robot.end_effector,
-            robot.lower,
-            robot.upper,
-            robot.velocity,
-            base,
-            np.empty((0, 2), np.int64),
-        ),
-        grid,
-    )
+    mount = dataclasses.replace(robot, spheres=base, collision_pairs=np.empty((0, 2), np.int64))
+    cost = costs.CollisionCost(mount, grid)
     value, _ = cost(trajectories(robot))
     assert (value == 0.0).all()
     assert cost.summed_spheres == 0
@@ -214,18 +205,6 @@ def test_velocity_limit_cost(robot):
     line[0, :, 0] = np.linspace(0.0, -1.5 * 0.9 * 0.6 * 10.0, 21)
     np.testing.assert_allclose(cost(line)[0], costs.REFERENCE_STEPS * 0.5**2)
     value, gradient = cost(line / 1.6)
-    assert value == 0.0
-    assert (gradient == 0.0).all()
-
-
-def test_duration_cost(robot):
-    q = trajectories(robot)
-    assert_gradient(costs.DurationCost(robot.velocity, 2.0), q)
-    # One second of joint 0, then two of joint 1.
-    cost = costs.DurationCost(np.array([0.5, 0.25]), duration=2.0, fraction=1.0)
-    corner = np.array([[[0.0, 0.0], [0.5, 0.1], [0.4, -0.4]]])
-    np.testing.assert_allclose(cost(corner)[0], (3.0 / 2.0 - 1.0) ** 2)
-    value, gradient = cost(corner / 2)
     assert value == 0.0
     assert (gradient == 0.0).all()
 
@@ -316,7 +295,6 @@ def path_costs(robot, grid):
         "self-collision": costs.SelfCollisionCost(robot, 0.02, 0.01),
         "joint limits": costs.JointLimitCost(robot.lower, robot.upper, 0.5),
         "velocity limits": costs.VelocityLimitCost(robot.velocity, 1.0),
-        "duration": costs.DurationCost(robot.velocity, 1.0),
     }
 
 
@@ -393,8 +371,6 @@ def test_bad_settings_are_refused(robot, grid):
         (lambda: costs.JointLimitCost(zeros, np.ones(2)), r"got \(3,\) and \(2,\)"),
         (lambda: costs.VelocityLimitCost(zeros, 1.0), "velocity must be"),
         (lambda: costs.VelocityLimitCost(np.ones(6), 0.0), "duration must be positive, got 0.0"),
-        (lambda: costs.DurationCost(np.ones(6), 1.0, -1.0), "fraction must be positive"),
-        (lambda: costs.DurationCost(np.ones(6), 1.0)(q[:, :1]), "at least 2 steps, got 1"),
         (lambda: costs.ViaPointCost(0.5, zeros, 1.0), "steps must be one or more integers"),
         (lambda: costs.ViaPointCost((), zeros, 1.0), "steps must be one or more integers"),
         (lambda: costs.ViaPointCost((0, 1), np.zeros((3, 6)), 1.0), "targets must have shape"),

@@ -1,5 +1,7 @@
 """The exact check against dense sampling, a physics engine and geometry done by hand."""
 
+import dataclasses
+
 import numpy as np
 import pybullet
 import pytest
@@ -15,7 +17,6 @@ from smp_planner.verification import (
     TOLERANCE,
     check_collisions,
     minimum_duration,
-    segment_durations,
     verify,
     within_joint_limits,
 )
@@ -149,6 +150,18 @@ def test_what_lies_only_between_two_steps_is_found():
     np.testing.assert_array_equal(check.free, [False, True])
 
 
+def test_self_contact_between_two_steps_is_found():
+    """A sphere of the mount stands in the way of the one on the rod, between all the steps."""
+    radius = np.array([0.02, 0.05])
+    for at, free in ((0.5 + 0.07 - 0.01, False), (0.5 + 0.07 + 0.01, True)):
+        center = np.array([[at, 0.0, 0.0], [0.5, 0.0, 0.0]])
+        robot = dataclasses.replace(
+            rod(), spheres=SphereSet(np.array([0, 1]), center, radius), collision_pairs=[[0, 1]]
+        )
+        check = check_collisions(np.array([[[-1.0], [1.0]]]), robot, ())
+        assert check.self_free.tolist() == check.free.tolist() == [free]
+
+
 def test_a_path_is_free_only_if_it_is_so_for_certain():
     """A ball on the circle that the rod's sphere draws leaves a gap of 0.4 and 1.6 tolerances."""
     for gap, free in ((0.4 * TOLERANCE, False), (1.6 * TOLERANCE, True)):
@@ -181,17 +194,10 @@ def test_packed_obstacles_are_taken(robot, paths):
 
 
 def test_the_mount_is_not_checked():
-    fixed = rod()
-    fixed = RobotModel(
-        fixed.base,
-        fixed.joint_origins,
-        fixed.end_effector,
-        fixed.lower,
-        fixed.upper,
-        fixed.velocity,
-        SphereSet(np.array([0, 1]), np.array([[0.0, 0, 0], [0.5, 0, 0]]), np.array([0.1, 0.05])),
-        fixed.collision_pairs,
+    spheres = SphereSet(
+        np.array([0, 1]), np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.array([0.1, 0.05])
     )
+    fixed = dataclasses.replace(rod(), spheres=spheres)
     ball = Obstacle(shape="sphere", position=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
     check = check_collisions(np.zeros((1, 2, 1)), fixed, (ball,))
     assert check.clearance[0] == pytest.approx(0.5 - 0.05 - 0.1)
@@ -208,24 +214,19 @@ def test_each_trajectory_is_checked_on_its_own(robot, paths):
 def test_durations_by_hand():
     velocity = np.array([0.5, 0.25])
     path = np.array([[[0.0, 0.0], [0.5, 0.1], [0.4, -0.4]]])
-    np.testing.assert_allclose(segment_durations(path, velocity, 1.0), [[1.0, 2.0]])
-    np.testing.assert_allclose(segment_durations(path, velocity, 0.5), [[2.0, 4.0]])
-    np.testing.assert_allclose(minimum_duration(path, velocity, 1.0), [3.0])
-    np.testing.assert_allclose(minimum_duration(path, velocity, 1.0, even=True), [4.0])
+    np.testing.assert_allclose(minimum_duration(path, velocity, 1.0), [4.0])
+    np.testing.assert_allclose(minimum_duration(path, velocity, 0.5), [8.0])
 
 
 def test_duration_does_not_depend_on_the_number_of_steps(paths):
     velocity = kinematics.JOINT_VELOCITY
-    for even in (False, True):
-        np.testing.assert_allclose(
-            minimum_duration(dense(paths, 5), velocity, even=even),
-            minimum_duration(paths, velocity, even=even),
-        )
+    np.testing.assert_allclose(
+        minimum_duration(dense(paths, 5), velocity), minimum_duration(paths, velocity)
+    )
 
 
 def test_one_step_takes_no_time():
-    for even in (False, True):
-        assert minimum_duration(np.zeros((3, 1, 2)), np.ones(2), even=even).tolist() == [0.0] * 3
+    assert minimum_duration(np.zeros((3, 1, 2)), np.ones(2)).tolist() == [0.0] * 3
 
 
 def test_joint_limits(robot):
@@ -241,7 +242,7 @@ def test_verification_says_what_is_executable():
     turns = np.array([[[0.0], [1.0]], [[0.0], [2.0]], [[2.5], [3.1]]])
     ball = Obstacle(shape="sphere", position=(0.5, 0.0, 0.0), size=(0.01, 0.01, 0.01))
     result = verify(turns, rod(), (ball,), duration_limit=3.0)
-    np.testing.assert_allclose(result.duration, np.array([1.0, 2.0, 0.6]) / (0.95 * 0.5))
+    np.testing.assert_allclose(result.duration, np.array([1.0, 2.0, 0.6]) / (0.9 * 0.5))
     assert result.within_limits.tolist() == [True, True, False]
     assert result.executable.tolist() == [True, False, False]
     assert result.collision_free.tolist() == [False, False, True]
@@ -256,8 +257,8 @@ def test_verification_says_what_is_executable():
         (lambda r: check_collisions(np.full((1, 1, 1), np.nan), r, ()), "got nan in particle 0"),
         (lambda r: check_collisions(np.zeros((1, 1, 1)), r, (), 0.0), "tolerance must be positive"),
         (lambda r: within_joint_limits(np.zeros((1, 1, 2)), r), r"shape \(P, T, 1\)"),
-        (lambda r: segment_durations(np.zeros((1, 2, 1)), np.zeros(1)), "velocity must be"),
-        (lambda r: segment_durations(np.zeros((1, 2, 1)), np.ones(2)), r"shape \(P, T, 2\)"),
+        (lambda r: minimum_duration(np.zeros((1, 2, 1)), np.zeros(1)), "velocity must be"),
+        (lambda r: minimum_duration(np.zeros((1, 2, 1)), np.ones(2)), r"shape \(P, T, 2\)"),
         (lambda r: minimum_duration(np.zeros((1, 2, 1)), np.ones(1), 0.0), "fraction must be"),
         (lambda r: verify(np.zeros((1, 2, 1)), r, (), 0.0), "duration_limit must be positive"),
     ],
