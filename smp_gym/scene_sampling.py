@@ -57,8 +57,7 @@ class DifficultySpecification:
         obstacles: how many.
         on_table: how many of them must stand on the table; the others stand or float.
         clearance: m, what every obstacle leaves between itself and the witness's spheres.
-        free_share: share of the proposals that may stay free; where more do, the draw is repeated
-            a few times and the best kept.
+        free_share: share of the proposals that may stay free; where more do, all is drawn anew.
     """
 
     obstacles: int
@@ -69,9 +68,9 @@ class DifficultySpecification:
 
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.01),
-    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.0),
-    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.0),
+    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.05),
+    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.02),
+    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.01),
 }
 """Difficulties by name."""
 
@@ -82,12 +81,12 @@ _DETOUR_LENGTH = 0.2
 """Standard deviation (rad) and length scale (phase) of the detours, those of the primitive's smooth
 covariance: what it can propose is what has to be blocked."""
 
-_PROPOSALS = 152
-_WIDE = 96
+_PROPOSALS = 120
+_WIDE = 64
 _WIDEST = 2.5
 """Detours of ordinary width, and wider ones, up to so many times as wide."""
 
-_FAMILY_SAMPLES = 24
+_FAMILY_SAMPLES = 20
 _WITNESS_SAMPLES = 200
 
 _MAX_DURATION = 14.0
@@ -119,6 +118,7 @@ _CANDIDATES = 1200
 _PAIRED_CANDIDATES = 200
 
 _GRID_ORIGIN = np.array([-0.2, -0.9, 0.0])
+_SLACK = 0.5
 _GRID_SPACING = 0.04
 _GRID_SHAPE = (31, 46, 29)
 """Grid of points (m) on which candidates are compared; it holds all that the arm can reach in front
@@ -126,7 +126,6 @@ of it. What is chosen is checked without the grid."""
 
 _MAX_CHOICES = 8
 _MAX_DRAWS = 60
-_ENOUGH_DRAWS = 3
 
 
 def _configuration(q: FloatArray) -> Configuration:
@@ -199,7 +198,9 @@ class _Task:
         demonstrations: (N, T, 6) rad.
         start: (6,) rad.
         spheres: arm, fingers and held object.
-        moving: index of the spheres that the family is checked with.
+        moving: index of the spheres that could touch the table.
+        swept: index of the spheres that the family is compared by: those but for the fingers, which
+            lie between palm and object.
         pairs: (P, 2) spheres that may not touch each other.
         release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
         release_height: m, of the object's centre over the goal there.
@@ -210,6 +211,7 @@ class _Task:
     start: FloatArray
     spheres: kinematics.SphereSet
     moving: NDArray[np.int64]
+    swept: NDArray[np.int64]
     pairs: NDArray[np.int64]
     release_rotation: FloatArray
     release_height: float
@@ -230,11 +232,15 @@ class _Task:
 @functools.lru_cache(maxsize=1)
 def _placement() -> _Task:
     demonstrations = Demonstrations.load(_PLACEMENT)
-    spheres = kinematics.concatenate(
+    parts = (
         kinematics.arm_spheres(),
         kinematics.finger_spheres(demonstrations.metadata["finger_angles"]),
         kinematics.box_spheres(ManipulatedObject().size, placement.HELD_OBJECT_POSE),
     )
+    spheres = kinematics.concatenate(*parts)
+    moving = np.flatnonzero(spheres.link >= 2)
+    first_finger = len(parts[0])
+    fingers = np.arange(first_finger, first_finger + len(parts[1]))
     end = demonstrations.mean[-1]
     pose = kinematics.end_effector_pose(end)
     held = pose @ np.asarray(placement.HELD_OBJECT_POSE)
@@ -244,7 +250,8 @@ def _placement() -> _Task:
         demonstrations=demonstrations.configurations,
         start=np.asarray(placement.START_CONFIGURATION, np.float64),
         spheres=spheres,
-        moving=np.flatnonzero(spheres.link >= 2),
+        moving=moving,
+        swept=np.setdiff1d(moving, fingers),
         pairs=kinematics.self_collision_pairs(spheres),
         release_rotation=pose[:3, :3],
         release_height=float(held[2, 3] - goal[2]),
@@ -294,7 +301,7 @@ class _Family:
         configuration: (6,) rad, where all of them end.
         base: (M,) which demonstration each detour belongs to.
         numbers: (M, F, 6) standard normal numbers, times the width, of the detours.
-        paths: (N, T, S, 3) m, centres of the moving spheres; N = 1 + demonstrations + M.
+        paths: (N, T, S, 3) m, centres of the swept spheres; N = 1 + demonstrations + M.
         radius: (S,) m.
         grid: which members sweep over which grid points.
         proposals: how many, from the first, a primitive would propose.
@@ -338,8 +345,8 @@ def _draw_family(
     trajectories = np.concatenate(
         [mean, carried, carried[base] + _detours(numbers, _FAMILY_SAMPLES)]
     )
-    paths = task.paths(trajectories, task.moving)
-    radius = task.spheres.radius[task.moving]
+    paths = task.paths(trajectories, task.swept)
+    radius = task.spheres.radius[task.swept]
     grid = sampling_kernels.rasterised(paths, radius, _GRID_ORIGIN, _GRID_SPACING, _GRID_SHAPE)
     height = (paths[..., 2] - radius).min(axis=(1, 2))
     # The bin counts as solid here: its thin walls would fall through the grid.
@@ -535,12 +542,11 @@ def _choose(
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """One draw: goal, (M, 9) rows of obstacles, (W, 6) witness, share of proposals left free."""
+    """One draw: goal, (M, 9) rows of obstacles, (W, 6) witness."""
 
     goal: Goal
     rows: FloatArray
     witness: FloatArray
-    free_share: float
 
 
 def _draw(
@@ -564,7 +570,7 @@ def _draw(
     order = np.argsort(-blocks.sum(axis=1), kind="stable")
     rows, blocks = rows[order], blocks[order]
     pairs = _apart(rows[:_PAIRED_CANDIDATES], rows[:_PAIRED_CANDIDATES])
-    clears = ~family.near(rows, specification.clearance + _GRID_SPACING / 4)
+    clears = ~family.near(rows, specification.clearance + _GRID_SPACING * _SLACK)
     bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=(goal,))
     bodies = np.array([_row(body) for body in fixtures(bare)])
     able = family.able.copy()
@@ -577,9 +583,9 @@ def _draw(
             witness = _member(task, family, int(index))
             if _is_witness(task, witness, bodies, rows[choice], specification.clearance):
                 free = proposed & ~_blocked(family, rows[choice])
-                if count and free[0]:
+                if count and (free[0] or free.sum() > specification.free_share * proposed.sum()):
                     return None
-                return _Draw(goal, rows[choice], witness, float(free.sum() / proposed.sum()))
+                return _Draw(goal, rows[choice], witness)
         able &= ~alive
     return None
 
@@ -621,16 +627,11 @@ def sample_with_witness(
     specification = SPECIFICATIONS[difficulty]
     rng = np.random.Generator(np.random.PCG64(_seed_sequence(task, difficulty, seed, version)))
     data = _placement()
-    best: _Draw | None = None
-    for draw in range(_MAX_DRAWS):
-        new = _draw(data, specification, rng)
-        if new is not None and (best is None or new.free_share < best.free_share):
-            best = new
-        if best is not None and (
-            best.free_share <= specification.free_share or draw + 1 >= _ENOUGH_DRAWS
-        ):
+    for _ in range(_MAX_DRAWS):
+        drawn = _draw(data, specification, rng)
+        if drawn is not None:
             break
-    if best is None:
+    else:
         raise RuntimeError(f"no solvable scene found for {task}, {difficulty}, seed {seed}")
     scene = Scene(
         task=task,
@@ -639,10 +640,10 @@ def sample_with_witness(
         seed=seed,
         start=_configuration(data.start),
         manipulated=ManipulatedObject(),
-        goals=(best.goal,),
-        obstacles=tuple(_obstacle(row) for row in best.rows),
+        goals=(drawn.goal,),
+        obstacles=tuple(_obstacle(row) for row in drawn.rows),
     )
-    return scene, best.witness
+    return scene, drawn.witness
 
 
 def sample_scene(task: str, difficulty: str, seed: int, version: int = 0) -> Scene:

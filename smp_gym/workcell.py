@@ -31,6 +31,7 @@ _BIN_COLOR = (0.30, 0.45, 0.62, 1.0)
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
 _ORIGIN = (0.0, 0.0, 0.0)
 _PARKING = (0.0, 0.0, -10.0)
+_FAR_AWAY = (0.0, 0.0, 10.0)
 
 _CLOSING_STEPS = 30
 _SETTLING_STEPS = 20
@@ -104,6 +105,10 @@ class Workcell:
             self._settled = self.world.snapshot()
             self._grasp, self._scenes = grasp, 0
         self._scenes += 1
+        # Contacts of the last episode would survive the way back to the start, were they not
+        # broken first.
+        self.world.place("object", _FAR_AWAY)
+        self.world.detect_contacts()
         self.world.restore(self._settled)
         self.arm.set_reference(scene.start, 1.0)
         self.world.place("bin", scene.goals[0].position)

@@ -7,23 +7,22 @@ milliseconds and keeps file and code from drifting apart.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from smp_gym.demonstrations import Demonstrations
-
-if TYPE_CHECKING:
-    from smp_planner.planners import PlannerModel
+from smp_planner.planners import PlannerModel, make_planner
 
 __all__ = ["FORMAT", "VERSION", "read_policy", "write_policy"]
 
 FORMAT = "smp_planner.policy"
 VERSION = 1
+
+_HEADER = "policy.json"
+_DEMONSTRATIONS = "demonstrations.npz"
 
 
 def write_policy(path: Path, planner: PlannerModel, seed: int) -> None:
@@ -35,17 +34,14 @@ def write_policy(path: Path, planner: PlannerModel, seed: int) -> None:
         "settings": planner.settings.model_dump(mode="json"),
         "seed": seed,
     }
-    demonstrations = io.BytesIO()
-    planner.demonstrations.save(demonstrations)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file, zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("policy.json", json.dumps(header, indent=1))
-            archive.writestr("demonstrations.npz", demonstrations.getvalue())
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        learned_from = Path(folder) / _DEMONSTRATIONS
+        planner.demonstrations.save(learned_from)
+        complete = Path(folder) / "policy.zip"
+        with zipfile.ZipFile(complete, "w") as archive:
+            archive.writestr(_HEADER, json.dumps(header, indent=1))
+            archive.write(learned_from, _DEMONSTRATIONS)
+        os.replace(complete, path)
 
 
 def read_policy(path: Path) -> tuple[PlannerModel, int]:
@@ -55,20 +51,16 @@ def read_policy(path: Path) -> tuple[PlannerModel, int]:
         FileNotFoundError: no such file.
         ValueError: damaged, not a policy, or of another version.
     """
-    from smp_planner.planners import make_planner
-
     try:
-        with zipfile.ZipFile(path) as archive:
-            header = json.loads(archive.read("policy.json"))
-            content = archive.read("demonstrations.npz")
+        with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+            header = json.loads(archive.read(_HEADER))
+            demonstrations = Demonstrations.load(archive.extract(_DEMONSTRATIONS, folder))
     except (zipfile.BadZipFile, KeyError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a saved policy or is damaged: {error}") from error
-    if header.get("format") != FORMAT or header.get("version") != VERSION:
-        raise ValueError(
-            f"{path} holds {header.get('format')!r} version {header.get('version')!r}; "
-            f"this package reads {FORMAT!r} version {VERSION}"
-        )
-    demonstrations = Demonstrations.load(io.BytesIO(content))
+    expected = {"format": FORMAT, "version": VERSION}
+    found = {name: header.get(name) for name in expected} if isinstance(header, dict) else header
+    if found != expected:
+        raise ValueError(f"{path} must be a saved policy {expected}, got {found}")
     planner = make_planner(
         header["method"], demonstrations=demonstrations, settings=header["settings"]
     )

@@ -94,7 +94,7 @@ def test_manifest_records_what_decides_the_rows() -> None:
     import torch
 
     made = runner.make_manifest(["Placement"], ["smp"], "easy", 5, 7)
-    assert made.versions["torch"] == torch.__version__
+    assert made.versions["torch"].split("+")[0] == torch.__version__.split("+")[0]
     assert made.versions["numpy"] == np.__version__
     assert made == runner.make_manifest(["Placement"], ["smp"], "easy", 5, 7)
 

@@ -1,0 +1,208 @@
+import json
+import zipfile
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+import smp_gym  # noqa: F401
+from smp_planner.policy import PlannerPolicy
+
+ID = "smp_gym/Placement-v0"
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return PlannerPolicy.make("smp", "Placement")
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = gym.make(ID)
+    yield env
+    env.close()
+
+
+def first(env, seed):
+    return env.reset(seed=seed)[0]
+
+
+def counting(policy, monkeypatch):
+    """Return a list that grows by the number of problems of each planning call."""
+    calls = []
+    plan = policy.planner.plan
+
+    def counted(problems):
+        if problems:
+            calls.append(len(problems))
+        return plan(problems)
+
+    monkeypatch.setattr(policy.planner, "plan", counted)
+    return calls
+
+
+def play(policy, env, seed, deterministic=True):
+    observation, info = env.reset(seed=seed)
+    state, over = None, False
+    while not over:
+        action, state = policy.predict(observation, state, deterministic=deterministic)
+        observation, _, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+    return info, state
+
+
+def test_it_succeeds_in_the_physics_and_plans_once(policy, env, monkeypatch):
+    calls = counting(policy, monkeypatch)
+    for seed in range(4):
+        info, state = play(policy, env, seed)
+        assert info["is_success"], info
+        assert state[0].particle == state[0].plan.chosen
+    assert calls == [1] * 4
+
+
+def test_single_batched_raw_and_flattened_observations_act_alike(policy, env):
+    rows = [first(env, seed) for seed in (0, 1)]
+    flat = [spaces.flatten(policy.observation_space, row) for row in rows]
+    single = [policy.predict(row, deterministic=True)[0] for row in rows]
+    batch = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+    together, state = policy.predict(batch, deterministic=True)
+    assert together.shape == (2, 7)
+    assert len(state) == 2
+    np.testing.assert_array_equal(together, single)
+    np.testing.assert_array_equal(policy.predict(np.stack(flat), deterministic=True)[0], single)
+    np.testing.assert_array_equal(policy.predict(flat[1], deterministic=True)[0], single[1])
+    assert policy.action_space.contains(single[0])
+
+
+def test_stochastic_acting_draws_a_good_particle(policy, env):
+    observation = first(env, 2)
+    _, state = policy.predict(observation, deterministic=False)
+    assert state[0].plan.good[state[0].particle]
+    _, again = policy.predict(observation, deterministic=False)
+    assert again[0].particle == state[0].particle
+    particles = set()
+    for seed in range(4):
+        policy.set_random_seed(seed)
+        particles.add(policy.predict(observation, deterministic=False)[1][0].particle)
+    policy.set_random_seed(0)
+    assert len(particles) > 1
+
+
+def test_stochastic_episodes_succeed_too(policy, env):
+    assert play(policy, env, 1, deterministic=False)[0]["is_success"]
+
+
+def test_a_lost_state_means_a_new_plan_from_where_the_arm_is(policy, env):
+    observation = first(env, 0)
+    state = None
+    for _ in range(20):
+        action, state = policy.predict(observation, state, deterministic=True)
+        observation = env.step(action)[0]
+    _, fresh = policy.predict(observation, None, deterministic=True)
+    begins = fresh[0].plan.trajectories[fresh[0].plan.chosen, 0]
+    np.testing.assert_allclose(begins, observation["observation"][6:12], atol=1e-6)
+    assert fresh[0].track.first_step == 20
+
+
+@pytest.mark.parametrize("vectorised", [DummyVecEnv, SubprocVecEnv])
+def test_evaluate_policy_plans_once_per_episode(vectorised, policy, monkeypatch):
+    calls = counting(policy, monkeypatch)
+    kwargs = {} if vectorised is DummyVecEnv else {"start_method": "spawn"}
+    venv = vectorised([make_env] * 2, **kwargs)
+    venv.seed(11)
+    try:
+        rewards, lengths = evaluate_policy(
+            policy, venv, n_eval_episodes=5, return_episode_rewards=True, warn=False
+        )
+    finally:
+        venv.close()
+    assert len(rewards) == 5
+    # Every step but the successful last costs one.
+    assert [-r for r in rewards] == [length - 1 for length in lengths]
+    # 5 episodes are counted. An environment that has played its share goes on, and is planned
+    # for: at most one more episode each.
+    assert 5 <= sum(calls) <= 7
+
+
+def make_env():
+    from stable_baselines3.common.monitor import Monitor
+
+    return Monitor(gym.make("smp_gym:smp_gym/Placement-v0"))
+
+
+def test_saving_and_loading_give_back_the_policy(policy, env, tmp_path):
+    custom = PlannerPolicy.make("smp", "Placement", settings={"particles": 8}, seed=5)
+    path = tmp_path / "policy.zip"
+    custom.save(path)
+    loaded = PlannerPolicy.load(path)
+    assert loaded.seed == 5
+    assert loaded.planner.settings == custom.planner.settings
+    observation = first(env, 4)
+    mine, theirs = (p.predict(observation, deterministic=True) for p in (custom, loaded))
+    np.testing.assert_array_equal(mine[0], theirs[0])
+    np.testing.assert_array_equal(mine[1][0].plan.trajectories, theirs[1][0].plan.trajectories)
+
+
+def test_a_failed_save_leaves_the_old_file(policy, tmp_path, monkeypatch):
+    path = tmp_path / "policy.zip"
+    policy.save(path)
+    before = path.read_bytes()
+    monkeypatch.setattr(json, "dumps", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        policy.save(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_damaged_files_are_refused(policy, tmp_path):
+    path = tmp_path / "policy.zip"
+    policy.save(path)
+    content = path.read_bytes()
+    for damaged in (b"", b"hello", content[: len(content) // 2]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"policy\.zip"):
+            PlannerPolicy.load(path)
+    with pytest.raises(FileNotFoundError):
+        PlannerPolicy.load(tmp_path / "nowhere.zip")
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"version": 99}, "99"),
+        ({"format": "other"}, "other"),
+        ({"method": "teleport"}, "teleport"),
+        ({"settings": {"colour": 1}}, "colour"),
+    ],
+)
+def test_files_of_another_kind_are_refused(policy, tmp_path, change, named):
+    path = tmp_path / "policy.zip"
+    policy.save(path)
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    entries["policy.json"] = json.dumps(json.loads(entries["policy.json"]) | change).encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    with pytest.raises(ValueError, match=named):
+        PlannerPolicy.load(path)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "seven"])
+def test_bad_seeds_are_refused(policy, seed):
+    with pytest.raises(ValueError, match="seed"):
+        policy.set_random_seed(seed)
+
+
+def test_foreign_observations_and_states_are_refused(policy, env):
+    cart = gym.make("CartPole-v1")
+    with pytest.raises(ValueError, match="observation"):
+        policy.predict(cart.reset(seed=0)[0])
+    with pytest.raises(ValueError, match="keys"):
+        policy.predict({"observation": np.zeros(4)})
+    _, state = policy.predict(first(env, 0), deterministic=True)
+    with pytest.raises(ValueError, match="state"):
+        policy.predict(first(env, 0), state * 2)
