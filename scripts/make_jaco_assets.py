@@ -2,97 +2,30 @@
 
 Everything is made from the tables in this file: the vendor's kinematic constants and inertias, and
 a few boxes and cylinders per link that cover the vendor's meshes. Run again it writes the same
-bytes. With the `meshes` extra installed it also prints how tightly the shapes cover.
+bytes. Given the folder of the vendor's meshes it also prints how tightly the shapes cover them.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+import typer
+from jaco_shapes import AXES, Box, Cylinder, Shape, Vector, clipped, enclosing_ball
+from jaco_visuals import BODIES, obj
+from rich.console import Console
+from rich.table import Table
 
-FloatArray = NDArray[np.float64]
-Vector = tuple[float, float, float]
+DEFAULT_OUT = Path(__file__).parents[1] / "envs_assets" / "jaco"
 
 PREFIX = "j2s6s200_"
-_AXES = "xyz"
 _AXIS_RPY = {"x": (0.0, np.pi / 2, 0.0), "y": (-np.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}
-_CORNERS = 64
-"""Corners of the prism that stands for a cylinder where spheres are fitted; it contains it."""
-_SPHERE_DIGITS = 4
-"""Spheres are rounded to 0.1 mm, radii upwards."""
-
-
-# Shapes
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box in the frame of its link.
-
-    Attributes:
-        lower: corner, m, in the turned frame.
-        upper: the opposite corner.
-        turn: angle by which the frame of the corners is turned about the link's z, rad.
-    """
-
-    lower: Vector
-    upper: Vector
-    turn: float = 0.0
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) from the turned frame to the link's."""
-        cos, sin = np.cos(self.turn), np.sin(self.turn)
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-    def hull(self) -> FloatArray:
-        """Return the (8, 3) corners."""
-        sides = np.array([self.lower, self.upper])
-        picks = np.indices((2, 2, 2)).reshape(3, -1)
-        corners = np.stack([sides[picks[axis], axis] for axis in range(3)], axis=1)
-        return corners @ self.rotation.T
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder along an axis of the frame of its link, m.
-
-    Attributes:
-        axis: "x", "y" or "z".
-        center: where its axis crosses the plane through the origin: the coordinate along `axis`
-            is left out.
-        radius: m.
-        start: lower end along the axis, m.
-        end: upper end.
-    """
-
-    axis: str
-    center: tuple[float, float]
-    radius: float
-    start: float
-    end: float
-
-    def hull(self) -> FloatArray:
-        """Return (2 * 64, 3) corners of a prism around the cylinder."""
-        angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
-        radius = self.radius / np.cos(np.pi / _CORNERS)
-        along = _AXES.index(self.axis)
-        across = [axis for axis in range(3) if axis != along]
-        points = np.empty((2, _CORNERS, 3))
-        points[..., across[0]] = self.center[0] + radius * np.cos(angle)
-        points[..., across[1]] = self.center[1] + radius * np.sin(angle)
-        points[..., along] = np.array([self.start, self.end])[:, None]
-        return points.reshape(-1, 3)
-
-
-Shape = Box | Cylinder
 
 
 # The table of links
@@ -137,6 +70,7 @@ class Link:
         inertia: ixx, iyy, izz about the centre of mass, kg m^2.
         shapes: what may touch; together they contain the vendor's mesh.
         cells: boxes that together contain the shapes; what is in one gets one sphere.
+        visuals: names of the visual bodies and of their materials.
         meshes: names of the vendor's meshes.
     """
 
@@ -147,12 +81,13 @@ class Link:
     inertia: Vector = (0.0, 0.0, 0.0)
     shapes: tuple[Shape, ...] = ()
     cells: tuple[Box, ...] = ()
+    visuals: tuple[tuple[str, str], ...] = ()
     meshes: tuple[str, ...] = ()
 
 
 def _slabs(axis: str, *cuts: float) -> tuple[Box, ...]:
     """Return the cells between cuts along one axis, unbounded in the others."""
-    along = _AXES.index(axis)
+    along = AXES.index(axis)
     cells = []
     for start, end in pairwise(cuts):
         lower, upper = [-1.0] * 3, [1.0] * 3
@@ -163,7 +98,7 @@ def _slabs(axis: str, *cuts: float) -> tuple[Box, ...]:
 
 def _halves(axis: str, cut: float, cells: tuple[Box, ...]) -> tuple[Box, ...]:
     """Return cells cut in two across an axis."""
-    along = _AXES.index(axis)
+    along = AXES.index(axis)
     halves = []
     for cell in cells:
         lower, upper = list(cell.lower), list(cell.upper)
@@ -235,6 +170,7 @@ def _finger(side: int) -> tuple[Link, Link]:
             Box((0.0386, -0.0195, -0.0116), (0.0509, 0.0027, 0.0116)),
         ),
         _slabs("x", -0.008, 0.022, 0.051),
+        (("finger", "finger"),),
         ("finger_proximal",),
     )
     tip = Link(
@@ -258,6 +194,7 @@ def _finger(side: int) -> tuple[Link, Link]:
             Box((0.0076, -0.0091, -0.0115), (0.0434, 0.0099, 0.0115), _PAD_TURN),
         ),
         _slabs("x", -0.01, 0.014, 0.045),
+        (("fingertip", "finger"),),
         ("finger_distal",),
     )
     return proximal, tip
@@ -281,6 +218,7 @@ LINKS: tuple[Link, ...] = (
             Box((-0.0386, 0.0164, 0.064), (0.0386, 0.0357, 0.1253)),
         ),
         _slabs("z", 0.0, 0.056, 0.102, 0.157),
+        (("base", "carbon"),),
         ("base",),
     ),
     Link(
@@ -297,6 +235,7 @@ LINKS: tuple[Link, ...] = (
             Cylinder("y", (0.0, -0.11875), 0.0415, -0.0416, 0.0019),
         ),
         _slabs("z", -0.161, -0.102, -0.07, -0.038, 0.012),
+        (("shoulder", "carbon"), ("ring_big", "ring")),
         ("shoulder", "ring_big"),
     ),
     Link(
@@ -324,6 +263,7 @@ LINKS: tuple[Link, ...] = (
             Cylinder("z", (0.0, -0.41), 0.0415, -0.0433, 0.0003),
         ),
         _slabs("y", -0.452, -0.386, -0.334, -0.286, -0.232, -0.176, -0.117, -0.065, -0.022, 0.045),
+        (("arm", "carbon"), ("ring_big", "ring")),
         ("arm", "ring_big"),
     ),
     Link(
@@ -349,6 +289,7 @@ LINKS: tuple[Link, ...] = (
             Cylinder("y", (0.0, -0.0114), 0.0318, 0.1525, 0.2075),
         ),
         _slabs("y", -0.045, 0.02, 0.055, 0.097, 0.132, 0.162, 0.208),
+        (("forearm", "carbon"), ("ring_big", "ring")),
         ("forearm", "ring_big"),
     ),
     Link(
@@ -365,6 +306,7 @@ LINKS: tuple[Link, ...] = (
             Cylinder("y", (0.0, -0.10375), 0.0318, -0.0002, 0.0478),
         ),
         _slabs("z", -0.136, -0.093, -0.065, -0.034, 0.011),
+        (("wrist_1", "carbon"), ("ring_small", "ring")),
         ("wrist_spherical_1", "ring_small"),
     ),
     Link(
@@ -388,6 +330,7 @@ LINKS: tuple[Link, ...] = (
             Cylinder("y", (0.0, 0.0), 0.0328, 0.0627, 0.1039),
         ),
         _slabs("y", -0.035, 0.011, 0.038, 0.066, 0.105),
+        (("wrist_2", "carbon"), ("ring_small", "ring")),
         ("wrist_spherical_2", "ring_small"),
     ),
     Link(
@@ -400,14 +343,15 @@ LINKS: tuple[Link, ...] = (
             Cylinder("z", (0.0, 0.0), 0.0347, -0.0298, 0.01),
             Box((-0.0256, -0.0491, -0.06), (0.0216, 0.0491, -0.0296)),
             Box((-0.03, -0.0259, -0.06), (0.0293, 0.0259, -0.0296)),
-            Box((-0.0268, -0.0546, -0.1), (0.0212, 0.0546, -0.06)),
+            Box((-0.0268, -0.0546, -0.1034), (0.0212, 0.0546, -0.06)),
             Box((-0.0295, -0.0217, -0.1205), (0.0223, 0.0217, -0.06)),
-            Box((-0.0254, -0.0538, -0.1205), (0.0208, 0.0538, -0.1)),
+            Box((-0.0254, -0.0375, -0.1205), (0.0208, 0.0375, -0.1)),
         ),
         (
             *_slabs("z", -0.03, 0.01),
             *_halves("y", 0.0, _slabs("z", -0.121, -0.09, -0.06, -0.03)),
         ),
+        (("hand", "carbon"), ("ring_small", "ring")),
         ("hand_2finger", "ring_small"),
     ),
     Link(
@@ -428,20 +372,28 @@ the fingers."""
 
 
 SELF_COLLISION_LINKS: tuple[tuple[str, str], ...] = (
-    ("link_base", "link_3"),
     ("link_base", "link_4"),
     ("link_base", "link_5"),
     ("link_base", "link_6"),
-    ("link_1", "link_3"),
     ("link_1", "link_4"),
     ("link_1", "link_5"),
     ("link_1", "link_6"),
-    ("link_2", "link_4"),
     ("link_2", "link_5"),
     ("link_2", "link_6"),
+    ("link_3", "link_5"),
     ("link_3", "link_6"),
+    ("link_4", "link_6"),
 )
-"""Pairs of links that may not touch, palm for hand; the rest are neighbours or out of reach."""
+"""Pairs of links that may not touch, the palm standing for the hand. All others are neighbours, or
+out of each other's reach within the joint limits."""
+
+
+MATERIALS = {
+    "carbon": (0.2, 0.2, 0.22, 1.0),
+    "ring": (0.78, 0.79, 0.81, 1.0),
+    "finger": (0.55, 0.57, 0.62, 1.0),
+}
+"""Colours, red, green, blue and opacity, by material name."""
 
 
 def full_name(name: str) -> str:
@@ -452,46 +404,11 @@ def full_name(name: str) -> str:
 # Spheres
 
 
-def _clipped(points: FloatArray, cell: Box) -> FloatArray:
-    """Return corners of the part of a convex body that lies in a cell, (N, 3); N may be 0."""
-    for axis in range(3):
-        for bound, sign in ((cell.lower[axis], 1.0), (cell.upper[axis], -1.0)):
-            height = sign * (points[:, axis] - bound)
-            above, below = points[height >= 0], points[height < 0]
-            if not len(below):
-                continue
-            if not len(above):
-                return np.empty((0, 3))
-            rise = height[height >= 0][:, None, None]
-            fall = -height[height < 0][None, :, None]
-            crossings = (above[:, None] * fall + below[None] * rise) / (rise + fall)
-            points = np.concatenate([above, crossings.reshape(-1, 3)])
-            hull = ConvexHull(points, qhull_options="QJ Pp")
-            points = points[np.sort(hull.vertices)]
-    return points
-
-
-def enclosing_ball(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of a ball around points, (N, 3), that is minimal to 0.1 mm.
-
-    Badoiu & Clarkson 2003: step towards the farthest point, ever more shortly. The result is
-    rounded so that it still contains all points.
-    """
-    center = (points.min(axis=0) + points.max(axis=0)) / 2
-    for step in range(1, 3000):
-        farthest = points[np.argmax(np.linalg.norm(points - center, axis=1))]
-        center = center + (farthest - center) / (step + 1)
-    center = np.round(center, _SPHERE_DIGITS) + 0.0
-    radius = float(np.linalg.norm(points - center, axis=1).max())
-    scale = 10.0**_SPHERE_DIGITS
-    return center, float(np.ceil(radius * scale) / scale)
-
-
 def link_spheres(link: Link) -> list[list[float]]:
     """Return the spheres [x, y, z, radius] that contain the shapes of a link."""
     spheres = []
     for cell in link.cells:
-        parts = [_clipped(shape.hull(), cell) for shape in link.shapes]
+        parts = [clipped(shape.hull(), cell) for shape in link.shapes]
         points = np.concatenate(parts)
         if not len(points):
             raise ValueError(f"cell {cell} of {link.name} holds nothing")
@@ -522,22 +439,21 @@ def spheres_json() -> str:
 # URDF
 
 
-def _numbers(values: Vector) -> str:
+def _numbers(values: Iterable[float]) -> str:
     return " ".join(f"{value + 0.0:.12g}" for value in values)
 
 
 def _add_shape(parent: ET.Element, shape: Shape) -> None:
     if isinstance(shape, Box):
-        lower, upper = np.array(shape.lower), np.array(shape.upper)
-        center, rpy = shape.rotation @ (lower + upper) / 2, (0.0, 0.0, shape.turn)
-        element = ET.Element("box", size=_numbers(tuple((upper - lower).tolist())))
+        rpy = (0.0, 0.0, shape.turn)
+        size = np.array(shape.upper) - shape.lower
+        element = ET.Element("box", size=_numbers(size.tolist()))
     else:
-        center = np.insert(shape.center, _AXES.index(shape.axis), (shape.start + shape.end) / 2)
         rpy = _AXIS_RPY[shape.axis]
         element = ET.Element(
             "cylinder", radius=f"{shape.radius:.12g}", length=f"{shape.end - shape.start:.12g}"
         )
-    ET.SubElement(parent, "origin", xyz=_numbers(tuple(center.tolist())), rpy=_numbers(rpy))
+    ET.SubElement(parent, "origin", xyz=_numbers(shape.center.tolist()), rpy=_numbers(rpy))
     ET.SubElement(parent, "geometry").append(element)
 
 
@@ -552,14 +468,21 @@ def _add_inertial(parent: ET.Element, link: Link) -> None:
 def urdf() -> str:
     """Return the text of `jaco.urdf`."""
     robot = ET.Element("robot", name="j2s6s200")
+    for name, rgba in MATERIALS.items():
+        material = ET.SubElement(robot, "material", name=name)
+        ET.SubElement(material, "color", rgba=_numbers(rgba))
     base = ET.SubElement(robot, "link", name="base")
     _add_inertial(base, Link("base", Joint("", "fixed", "", (0, 0, 0), (0, 0, 0))))
     for link in LINKS:
         element = ET.SubElement(robot, "link", name=full_name(link.name))
         _add_inertial(element, link)
-        for kind in ("visual", "collision"):
-            for shape in link.shapes:
-                _add_shape(ET.SubElement(element, kind), shape)
+        for body, material in link.visuals:
+            visual = ET.SubElement(element, "visual")
+            geometry = ET.SubElement(visual, "geometry")
+            ET.SubElement(geometry, "mesh", filename=f"visuals/{body}.obj")
+            ET.SubElement(visual, "material", name=material)
+        for shape in link.shapes:
+            _add_shape(ET.SubElement(element, "collision"), shape)
         joint = link.joint
         element = ET.SubElement(robot, "joint", name=full_name(joint.name), type=joint.kind)
         ET.SubElement(element, "parent", link=full_name(joint.parent))
@@ -581,10 +504,56 @@ def urdf() -> str:
 
 def write(directory: Path) -> None:
     """Write all files into a directory."""
-    directory.mkdir(parents=True, exist_ok=True)
+    visuals = directory / "visuals"
+    visuals.mkdir(parents=True, exist_ok=True)
     (directory / "jaco.urdf").write_text(urdf(), encoding="utf-8")
     (directory / "spheres.json").write_text(spheres_json(), encoding="utf-8")
+    for name, body in BODIES.items():
+        (visuals / f"{name}.obj").write_text(obj(body), encoding="utf-8")
+
+
+def coverage_table(meshes: Path) -> Table:
+    """Return how each link's shapes and spheres cover the vendor's meshes.
+
+    Args:
+        meshes: folder of the vendor's meshes.
+    """
+    from jaco_coverage import measure, mesh_points
+
+    table = Table(title="Coverage of the vendor's meshes: mean / greatest distance, mm")
+    for column in ("link", "surface outside", "shapes", "overshoot", "spheres", "overshoot "):
+        table.add_column(column, justify="left" if column == "link" else "right")
+    for link in LINKS:
+        if not link.shapes:
+            continue
+        spheres = np.array(link_spheres(link))
+        found = measure(mesh_points(meshes, link.meshes), link.shapes, spheres)
+        mean, greatest = (1e3 * value for value in found.shape_overshoot)
+        sphere_mean, sphere_greatest = (1e3 * value for value in found.sphere_overshoot)
+        table.add_row(
+            link.name,
+            f"{found.outside:.2%}, {1e3 * found.gap:.2f} mm",
+            str(len(link.shapes)),
+            f"{mean:.1f} / {greatest:.1f}",
+            str(len(spheres)),
+            f"{sphere_mean:.1f} / {sphere_greatest:.1f}",
+        )
+    return table
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder to write into.")] = DEFAULT_OUT,
+    meshes: Annotated[
+        Path | None, typer.Option(help="The vendor's meshes (.dae), to measure coverage against.")
+    ] = None,
+) -> None:
+    """Write URDF, visuals and spheres of the arm, and measure them if meshes are given."""
+    console = Console()
+    write(out)
+    console.print(f"wrote {out}")
+    if meshes is not None:
+        console.print(coverage_table(meshes))
 
 
 if __name__ == "__main__":
-    write(Path(__file__).resolve().parent.parent / "envs_assets" / "jaco")
+    typer.run(main)

@@ -36,6 +36,7 @@ _ARM_JOINTS = tuple(f"j2s6s200_joint_{i}" for i in range(1, 7))
 _FINGER_JOINTS = tuple(f"j2s6s200_joint_finger_{part}" for part in ("1", "2", "tip_1", "tip_2"))
 _END_EFFECTOR_JOINT = "j2s6s200_joint_end_effector"
 
+_UPRIGHT = (0.0, np.pi, np.pi, 0.0, np.pi, 0.0)
 _FINGER_FORCE = 1.2
 _FINGER_VELOCITY = 1.0
 _FINGER_GAIN = 0.3
@@ -225,6 +226,13 @@ class Jaco:
         hand = Rotation.from_quat(state.end_effector_quaternion)
         position = state.end_effector_position + hand.as_matrix() @ pose[:3, 3]
         return position, (hand * Rotation.from_matrix(np.array(pose[:3, :3]))).as_quat()
+
+    def stretch(self) -> None:
+        """Put the arm upright with the fingers open, where no part of it is near another."""
+        for joint, angle in zip(self._arm, _UPRIGHT, strict=True):
+            pybullet.resetJointState(self._body, joint, angle, physicsClientId=self._client)
+        for joint in self._fingers:
+            pybullet.resetJointState(self._body, joint, 0.0, physicsClientId=self._client)
 
     def state(self) -> RobotState:
         """Return the measured state."""

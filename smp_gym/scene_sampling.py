@@ -97,6 +97,11 @@ _SELF_CLEARANCE = 0.005
 _LIMIT_MARGIN = 0.05
 """Witness: distance (m) to table and bin, to itself, and (rad) to the joint limits."""
 
+_HAND_LINK = 5
+_BASE_DISTANCE = 0.35
+"""Obstacles stand in the way of the hand: near spheres from this link on, and so far (m) from the
+axis of the base. Nearer to it they would block more, but the shoulder, not the way."""
+
 _START_CLEARANCE = 0.05
 _BIN_CLEARANCE = 0.03
 _OVERLAP = 0.8
@@ -459,7 +464,8 @@ def _draw_candidates(
         return np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
     sample = rng.integers(_FAMILY_SAMPLES, size=count)
-    sphere = rng.integers(len(family.radius), size=count)
+    hand = np.flatnonzero(task.spheres.link[task.swept] >= _HAND_LINK)
+    sphere = hand[rng.integers(len(hand), size=count)]
     shape = rng.choice(len(SHAPES), size=count, p=_SHAPE_SHARES)
     size = rng.uniform(*_HALF_EXTENTS, size=(count, 3))
     box, ball = SHAPES.index("box"), SHAPES.index("sphere")
@@ -476,7 +482,8 @@ def _draw_candidates(
 
     half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS + _BIN_CLEARANCE
     aside = np.abs(position[:, :2] - np.asarray(goal.position[:2])).max(axis=1)
-    rows = rows[(position[:, 2] >= size[:, 2]) & (aside >= half + _widths(rows))]
+    away = np.hypot(position[:, 0], position[:, 1]) >= _BASE_DISTANCE
+    rows = rows[away & (position[:, 2] >= size[:, 2]) & (aside >= half + _widths(rows))]
     start, radius = task.paths(task.start[None]), task.spheres.radius
     clear = sampling_kernels.path_clearances(start, radius, rows, 1.0) >= _START_CLEARANCE
     return rows[clear]

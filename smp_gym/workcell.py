@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -38,6 +39,7 @@ _SETTLING_STEPS = 20
 _GRASP_TOLERANCE = 0.01
 # PyBullet never frees the shapes of bodies that were removed, a few kilobytes each.
 _SCENES_PER_WORLD = 500
+_DISPERSALS = 10
 
 _HAND = frozenset(HAND_LINKS)
 
@@ -105,14 +107,12 @@ class Workcell:
             self._settled = self.world.snapshot()
             self._grasp, self._scenes = grasp, 0
         self._scenes += 1
-        # Contacts of the last episode would survive the way back to the start, were they not
-        # broken first.
-        self.world.place("object", _FAR_AWAY)
-        self.world.detect_contacts()
+        self._disperse(scene.obstacles)
         self.world.restore(self._settled)
         self.arm.set_reference(scene.start, 1.0)
         self.world.place("bin", scene.goals[0].position)
-        self.world.set_obstacles(scene.obstacles)
+        for name, obstacle in zip(self.world.obstacles, scene.obstacles, strict=True):
+            self.world.place(name, obstacle.position, obstacle.quaternion)
         self.world.detect_contacts()
         self.collision: Contact | None = None
         self.clearance = CLEARANCE_LIMIT
@@ -123,6 +123,20 @@ class Workcell:
         if self._collides():
             raise ValueError(f"the scene begins with a collision: {self.collision}")
         self._measure()
+
+    def _disperse(self, obstacles: Sequence[Obstacle]) -> None:
+        """Exchange the obstacles and take all bodies apart.
+
+        The solver works through pairs of near bodies in the order in which they came near, which a
+        snapshot does not hold. So the last episode's pairs must be gone before the next begins.
+        """
+        self.world.set_obstacles(obstacles)
+        self.world.place("bin", _PARKING)
+        self.world.place("object", _FAR_AWAY)
+        self.arm.stretch()
+        # The engine drops pairs that have come apart a few at a time.
+        for _ in range(_DISPERSALS):
+            self.world.detect_contacts()
 
     def advance(self, action: FloatArray) -> None:
         """Move for one environment step, or up to the physics step that collides.

@@ -44,8 +44,8 @@ OBSTACLE_COLORS: tuple[Color, ...] = (
 )
 """Obstacles take these in turn, so that neighbours can be told apart."""
 
-_PARKING = (0.0, 0.0, -20.0)
-_PARKED_RADIUS = 0.01
+_PARKING_HEIGHT = -20.0
+_SPECK = Obstacle(shape="sphere", position=(0.0, 0.0, 0.0), size=(0.01, 0.01, 0.01))
 _SKY_COLOR = (
     "--background_color_red=0.93 --background_color_green=0.95 --background_color_blue=0.97"
 )
@@ -201,36 +201,21 @@ class BulletWorld:
         their order only: what is exchanged must stand behind all that stays.
         """
         for slot in range(MAX_OBSTACLES):
-            self._park(slot)
+            self._park(slot, _SPECK)
 
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """Replace all obstacles; they are called ``obstacle_0``, ``obstacle_1``, ….
+        """Replace all obstacles by bodies of these shapes, out of the way until they are placed.
 
-        Call it after `restore`, never between a `snapshot` and the steps that shall follow from it.
+        They are called ``obstacle_0``, ``obstacle_1``, …, as `obstacles` says.
         """
         # Bodies are always renewed in the order of their slots: the solver works in the order of
         # creation, so an obstacle kept from an earlier episode would carry that episode's order on.
-        used = max(len(obstacles), len(self._obstacles))
-        self._obstacles = []
-        for slot in range(used):
+        renewed = range(max(len(obstacles), len(self._obstacles)))
+        for slot in renewed:
             self._remove(f"obstacle_{slot}")
-        for slot in range(used):
-            if slot < len(obstacles):
-                obstacle = obstacles[slot]
-                name = f"obstacle_{slot}"
-                shape = obstacle.model_copy(
-                    update={"position": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
-                )
-                self.add_body(
-                    name,
-                    (shape,),
-                    color=OBSTACLE_COLORS[slot % len(OBSTACLE_COLORS)],
-                    position=obstacle.position,
-                    quaternion=obstacle.quaternion,
-                )
-                self._obstacles.append(name)
-            else:
-                self._park(slot)
+        for slot in renewed:
+            self._park(slot, obstacles[slot] if slot < len(obstacles) else _SPECK)
+        self._obstacles = [f"obstacle_{slot}" for slot in range(len(obstacles))]
 
     @property
     def obstacles(self) -> tuple[str, ...]:
@@ -378,11 +363,11 @@ class BulletWorld:
         self._pairs = {key: pair for key, pair in self._pairs.items() if body not in key[:2]}
         pybullet.removeBody(body, physicsClientId=self.client)
 
-    def _park(self, slot: int) -> None:
-        x, y, z = _PARKING
-        speck = Obstacle(shape="sphere", position=(0.0, 0.0, 0.0), size=(_PARKED_RADIUS,) * 3)
+    def _park(self, slot: int, obstacle: Obstacle) -> None:
+        shape = Obstacle(shape=obstacle.shape, position=(0.0, 0.0, 0.0), size=obstacle.size)
+        color = OBSTACLE_COLORS[slot % len(OBSTACLE_COLORS)]
         self.add_body(
-            f"obstacle_{slot}", (speck,), color=(0.0, 0.0, 0.0, 0.0), position=(x + slot, y, z)
+            f"obstacle_{slot}", (shape,), color=color, position=(float(slot), 0.0, _PARKING_HEIGHT)
         )
 
     def _shapes(self, parts: Sequence[Obstacle], color: Color) -> tuple[int, int]:

@@ -36,7 +36,9 @@ _OBSTACLE, _BIN, _ARM = "#c9a27c", "#5fb3a8", "#374151"
 _TABLE, _GRID, _SHADOW = "#f4f2ed", "#dcd8cf", "#d5d0c5"
 _GRID_STEP = 0.2
 # Depth, m, by which a white rim lies behind its line: more than the length of a piece.
-_HALO = 0.025
+_HALO = 0.04
+# The chosen path is drawn this much nearer, m, to stand out among the others.
+_FOREGROUND = 0.15
 _AZIMUTH, _ELEVATION, _DISTANCE = -28.0, 28.0, 2.2
 
 FloatArray = NDArray[np.float64]
@@ -112,8 +114,8 @@ def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None
         painter.line(path, _FREE if free else _COLLIDING, 0.9)
     for path in demonstrations:
         painter.line(path, _DEMONSTRATION, 1.2, dashed=True)
-    painter.line(paths[plan.chosen], "white", 5.5, nearer=-_HALO)
-    painter.line(paths[plan.chosen], _CHOSEN, 3.5, nearer=_HALO)
+    painter.line(paths[plan.chosen], "white", 5.5, nearer=_FOREGROUND - _HALO)
+    painter.line(paths[plan.chosen], _CHOSEN, 3.5, nearer=_FOREGROUND)
     painter.paint(axes)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env as gymnasium_check_env
 from gymnasium.wrappers import RecordVideo
+from scipy.spatial.transform import Rotation
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import smp_gym
@@ -477,11 +478,26 @@ def test_collision_of_the_arm_with_itself(env):
     assert pair[0] != pair[1]
 
 
+def lowest_corner(observation):
+    state = decode(observation, "Placement").object
+    signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    corners = state.position + Rotation.from_quat(state.quaternion).apply(signs * state.size)
+    return corners[np.argmin(corners[:, 2])]
+
+
 def test_a_contact_between_two_environment_steps_is_seen(env):
-    """A thin plate is run through within one step: only the substeps can see it."""
-    ahead = held_object(turned(0.4))
-    plate = Obstacle(shape="box", position=tuple(ahead), size=(0.002, 0.002, 0.1))
-    assert "obstacle_0" in collide(env, scene_with(plate), turned(0.8))
+    """The object's corner grazes a marble in mid-step and is clear of it before and after."""
+    radius, overlap, step = 0.01, 1e-3, 20
+    env.reset(options={"scene": scene_with()})
+    before, after = (lowest_corner(r[0]) for r in drive(env, turned(0.9))[step - 1 : step + 1])
+    center = (before + after) / 2 - [0.0, 0.0, radius - overlap]
+    for corner in (before, after):
+        assert np.linalg.norm(corner - center) - radius > 1e-3
+    marble = Obstacle(shape="sphere", position=tuple(center), size=(radius,) * 3)
+    env.reset(options={"scene": scene_with(marble)})
+    results = drive(env, turned(0.9))
+    assert len(results) == step + 1
+    assert results[-1][4]["collision"] == ("object", "obstacle_0")
 
 
 def test_clearance_is_the_least_distance_so_far(env):

@@ -18,6 +18,12 @@ def box(*size, position=ORIGIN):
     return Obstacle(shape="box", position=position, size=size)
 
 
+def arrange(world, obstacles):
+    world.set_obstacles(obstacles)
+    for name, obstacle in zip(world.obstacles, obstacles, strict=True):
+        world.place(name, obstacle.position, obstacle.quaternion)
+
+
 @pytest.fixture
 def world():
     world = BulletWorld()
@@ -85,7 +91,7 @@ def test_clearance_of_each_shape_is_geometry(world, obstacle, distance):
     ball = Obstacle(shape="sphere", position=ORIGIN, size=(0.1,) * 3)
     world.add_body("ball", [ball], color=GREY)
     world.reserve_obstacles()
-    world.set_obstacles([obstacle])
+    arrange(world, [obstacle])
     measured = world.clearance(["ball"], world.obstacles, 1.0)
     # Bullet rounds box and cylinder edges by a margin of less than a millimetre.
     assert measured == pytest.approx(distance, abs=1e-3)
@@ -111,7 +117,7 @@ def test_obstacles_can_be_exchanged_and_are_where_they_should_be(world):
     world.reserve_obstacles()
     for count in (0, 3, 1, MAX_OBSTACLES, 2):
         obstacles = [box(0.02, 0.02, 0.02, position=(0.1 * i, 1.0, 0.0)) for i in range(count)]
-        world.set_obstacles(obstacles)
+        arrange(world, obstacles)
         assert world.obstacles == tuple(f"obstacle_{i}" for i in range(count))
         for i in range(MAX_OBSTACLES):
             world.place("probe", (0.1 * i, 1.0, 0.035))
@@ -137,7 +143,7 @@ def _pile(world):
 
 
 def _fall(world, obstacles):
-    world.set_obstacles(obstacles)
+    arrange(world, obstacles)
     states = []
     for _ in range(150):
         world.step()

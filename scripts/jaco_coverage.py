@@ -1,0 +1,75 @@
+"""How tightly collision shapes and spheres of the JACO cover the vendor's meshes.
+
+The meshes are those of example-robot-data (`robots/kinova_description/meshes`), which the `meshes`
+extra installs together with what reads them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaco_shapes import Shape
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+
+_SAMPLES = 40_000
+"""Points on a surface: on a link they are less than 2 mm apart."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How one link is covered; lengths in m.
+
+    Attributes:
+        outside: share of the mesh's surface that no shape contains.
+        gap: greatest distance of the mesh out of the shapes.
+        shape_overshoot: mean and greatest distance of the shapes' surface to the mesh.
+        sphere_overshoot: the same of the spheres.
+    """
+
+    outside: float
+    gap: float
+    shape_overshoot: tuple[float, float]
+    sphere_overshoot: tuple[float, float]
+
+
+def mesh_points(directory: Path, names: Sequence[str]) -> FloatArray:
+    """Return the vertices and random points of the surface of meshes, (N, 3) m."""
+    points = []
+    for name in names:
+        mesh = trimesh.load_mesh(directory / f"{name}.dae")
+        points += [mesh.vertices, trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)[0]]
+    return np.concatenate(points)
+
+
+def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) -> Coverage:
+    """Return how shapes, and spheres (S, 4), cover the points (N, 3) of a link's surface."""
+    depth = np.min([shape.signed_distance(points) for shape in shapes], axis=0)
+    tree = cKDTree(points)
+    rng = np.random.default_rng(0)
+
+    corners = np.concatenate([shape.hull() for shape in shapes])
+    around = rng.uniform(corners.min(axis=0), corners.max(axis=0), (20 * _SAMPLES, 3))
+    distance = np.min([shape.signed_distance(around) for shape in shapes], axis=0)
+    shell = around[np.abs(distance) < 5e-4]
+
+    index = rng.integers(len(spheres), size=_SAMPLES)
+    direction = rng.normal(size=(_SAMPLES, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    surface = spheres[index, :3] + direction * spheres[index, 3:]
+    reach = np.linalg.norm(surface[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3]
+    surface = surface[reach.min(axis=1) > -1e-9]
+
+    overshoot = [tree.query(points)[0] for points in (shell, surface)]
+    return Coverage(
+        outside=float((depth > 0).mean()),
+        gap=float(max(depth.max(), 0.0)),
+        shape_overshoot=(float(overshoot[0].mean()), float(overshoot[0].max())),
+        sphere_overshoot=(float(overshoot[1].mean()), float(overshoot[1].max())),
+    )
