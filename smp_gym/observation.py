@@ -2,8 +2,8 @@
 
 An observation is a `Dict` of four float32 vectors: ``observation`` (robot, object, time; see
 `STATE_LAYOUT`), ``achieved_goal`` and ``desired_goal`` (see `GOAL_LAYOUTS`), and ``obstacles``
-(`MAX_OBSTACLES` rows of `OBSTACLE_LAYOUT`, flattened). It is complete: `decode` gives back all that a
-planner needs, raw or flattened by `gymnasium.spaces.flatten`.
+(`MAX_OBSTACLES` rows of `OBSTACLE_LAYOUT`, flattened). It is complete: `decode` gives back all that
+a planner needs, raw or flattened by `gymnasium.spaces.flatten`.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
         Field("at_rest", 1, 0.0, 1.0),
     ),
 }
-"""``achieved_goal`` and ``desired_goal`` of each task. A flag of 1 in the desired goal is demanded."""
+"""``achieved_goal`` and ``desired_goal`` of each task; a flag of 1 in the latter is demanded."""
 
 Array = NDArray[np.float64]
 Observation = dict[str, NDArray[np.float32]]
@@ -124,7 +124,7 @@ class RobotState:
 
 @dataclass(frozen=True)
 class ObjectState:
-    """State of the manipulated object: position (3,) m, quaternion (4,), velocities (3,), size (3,)."""
+    """State of the object: position (3,) m, quaternion (4,), velocities (3,), half-extents (3,)."""
 
     position: Array
     quaternion: Array
@@ -194,18 +194,28 @@ def observation_space(task: str) -> spaces.Dict:
     )
 
 
-def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
-    """Return ``desired_goal`` of a scene, (G,): where the object's centre shall rest, and flags."""
+def _place_demanded(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal of a task that sets an object down: where its centre shall rest."""
     if scene.manipulated is None:
         raise ValueError(f"a scene of {scene.task} needs a manipulated object, got None")
     x, y, z = scene.goals[0].position
-    values = {
-        "object_position": (x, y, z + scene.manipulated.size[2]),
-        "collided": 0.0,
-        "released": 1.0,
-        "at_rest": 1.0,
-    }
-    return _join(values, GOAL_LAYOUTS[scene.task])
+    position = (x, y, z + scene.manipulated.size[2])
+    return {"object_position": position, "collided": 0.0, "released": 1.0, "at_rest": 1.0}
+
+
+def _place_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]:
+    """Return the goals that `_place_demanded` encoded, for an object of half-extents (3,)."""
+    x, y, z = desired["object_position"].tolist()
+    return (Goal(position=(x, y, z - float(size[2]))),)
+
+
+_DEMANDED = {"Placement": _place_demanded}
+_GOALS = {"Placement": _place_goals}
+
+
+def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
+    """Return ``desired_goal`` (G,) of a scene, laid out as `GOAL_LAYOUTS` says."""
+    return _join(_DEMANDED[scene.task](scene), GOAL_LAYOUTS[scene.task])
 
 
 def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
@@ -327,12 +337,11 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     size = state["object_size"]
     if not (size > 0).all():
         raise ValueError(f"object_size in the observation must be positive, got {size}")
-    x, y, z = desired["object_position"].tolist()
     scene = Scene(
         task=task,
         start=tuple(state["configuration"].tolist()),
         manipulated=ManipulatedObject(size=tuple(size.tolist())),
-        goals=(Goal(position=(x, y, z - float(size[2]))),),
+        goals=_GOALS[task](desired, size),
         obstacles=_decode_obstacles(vectors["obstacles"]),
     )
     robot = RobotState(
