@@ -131,7 +131,7 @@ def clipped(points: FloatArray, cell: Box) -> FloatArray:
 
 
 def enclosing_ball(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of a ball around points, (N, 3), that is minimal to 0.1 mm.
+    """Return centre and radius of a ball around points, (N, 3), that is minimal to some 0.1 mm.
 
     Badoiu & Clarkson 2003: step towards the farthest point, ever more shortly. The result is
     rounded so that it still contains all points.

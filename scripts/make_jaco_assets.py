@@ -1,8 +1,9 @@
 """Write `envs_assets/jaco`: the URDF, the visual meshes and the link spheres of the JACO j2s6s200.
 
-Everything is made from the tables in this file: the vendor's kinematic constants and inertias, and
-a few boxes and cylinders per link that cover the vendor's meshes. Run again it writes the same
-bytes. Given the folder of the vendor's meshes it also prints how tightly the shapes cover them.
+Everything is made from tables: here the vendor's kinematic constants and inertias, and a few boxes
+and cylinders per link that cover the vendor's meshes; in `jaco_visuals` the cross-sections for the
+pictures. Given the folder of the vendor's meshes (`robots/kinova_description/meshes` of
+example-robot-data) it also prints how tightly they are covered.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def _arm_joint(
     )
 
 
-_PAD_TURN = -0.3
+_PAD_TURN = -0.05
 """rad; the pads of both fingertips are then parallel on a box of 5 cm, as wide as the tasks'."""
 
 
@@ -190,8 +191,8 @@ def _finger(side: int) -> tuple[Link, Link]:
         (0.022, 0.0, 0.0),
         inertia,
         (
-            Box((-0.0098, -0.0149, -0.0115), (0.0099, 0.0058, 0.0115)),
-            Box((0.0076, -0.0091, -0.0115), (0.0434, 0.0099, 0.0115), _PAD_TURN),
+            # One box and no more: each further shape that touches the object slows the solver.
+            Box((-0.0101, -0.0154, -0.0115), (0.0442, 0.0069, 0.0115), _PAD_TURN),
         ),
         _slabs("x", -0.01, 0.014, 0.045),
         (("fingertip", "finger"),),
@@ -341,9 +342,11 @@ LINKS: tuple[Link, ...] = (
         (0.0003453236187, 0.0003453236187, 0.0005816),
         (
             Cylinder("z", (0.0, 0.0), 0.0347, -0.0298, 0.01),
-            Box((-0.0256, -0.0491, -0.06), (0.0216, 0.0491, -0.0296)),
+            Box((-0.0256, -0.0422, -0.0448), (0.0216, 0.0422, -0.0296)),
+            Box((-0.0256, -0.0493, -0.06), (0.0216, 0.0493, -0.0448)),
             Box((-0.03, -0.0259, -0.06), (0.0293, 0.0259, -0.0296)),
-            Box((-0.0268, -0.0546, -0.1034), (0.0212, 0.0546, -0.06)),
+            Box((-0.0268, -0.0546, -0.0958), (0.0212, 0.0546, -0.06)),
+            Box((-0.0268, -0.0478, -0.1034), (0.0212, 0.0478, -0.0958)),
             Box((-0.0295, -0.0217, -0.1205), (0.0223, 0.0217, -0.06)),
             Box((-0.0254, -0.0375, -0.1205), (0.0208, 0.0375, -0.1)),
         ),
@@ -469,8 +472,8 @@ def urdf() -> str:
     """Return the text of `jaco.urdf`."""
     robot = ET.Element("robot", name="j2s6s200")
     for name, rgba in MATERIALS.items():
-        material = ET.SubElement(robot, "material", name=name)
-        ET.SubElement(material, "color", rgba=_numbers(rgba))
+        colored = ET.SubElement(robot, "material", name=name)
+        ET.SubElement(colored, "color", rgba=_numbers(rgba))
     base = ET.SubElement(robot, "link", name="base")
     _add_inertial(base, Link("base", Joint("", "fixed", "", (0, 0, 0), (0, 0, 0))))
     for link in LINKS:
@@ -522,7 +525,7 @@ def coverage_table(meshes: Path) -> Table:
 
     table = Table(title="Coverage of the vendor's meshes: mean / greatest distance, mm")
     for column in ("link", "surface outside", "shapes", "overshoot", "spheres", "overshoot "):
-        table.add_column(column, justify="left" if column == "link" else "right")
+        table.add_column(column, justify="left" if column == "link" else "right", no_wrap=True)
     for link in LINKS:
         if not link.shapes:
             continue

@@ -54,7 +54,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Recording:
-    """What was measured in one execution: (M, 6) rad, fingers (4,) rad, and the last step's info."""
+    """What was measured in one execution: (M, 6) rad, (4,) rad, and the last step's info."""
 
     configurations: FloatArray
     finger_angles: FloatArray

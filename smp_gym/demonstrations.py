@@ -1,25 +1,24 @@
 """Demonstrations: sets of recorded trajectories of one task, as frozen data in an ``.npz`` file.
 
-A demonstration is sampled at T equal steps of phase, from the start of the movement (phase 0) to the
-release or the final pose (phase 1), where the arm is at rest. Beside the arm's configuration it holds
-the *commanded* gripper reference (0 open, 1 closed): in tasks that release an object the command is
-1 until the object is let go and 0 from then on, so that the phase of the release can be read from
-the data (`Demonstrations.release_phase`).
+A demonstration is sampled at T equal steps of phase, from the start of the movement (phase 0) to
+the release or the final pose (phase 1), where the arm is at rest. Beside the arm's configuration it
+holds the *commanded* gripper reference (0 open, 1 closed): in tasks that release an object the
+command is 1 until the object is let go and 0 from then on, so that the phase of the release can be
+read from the data (`Demonstrations.release_phase`).
 """
 
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS, Scene
 
 __all__ = ["DEMONSTRATION_SAMPLES", "FORMAT_VERSION", "Demonstrations", "resample"]
@@ -185,16 +184,17 @@ class Demonstrations:
                 raise ValueError(f"format version must be {FORMAT_VERSION}, got {version!r}")
             return cls(
                 task=header["task"],
-                scenes=tuple(Scene.model_validate_json(json.dumps(s)) for s in header["scenes"]),
+                scenes=tuple(Scene.model_validate(s) for s in header["scenes"]),
                 metadata=header["metadata"],
                 **arrays,
             )
-        except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        except Exception as error:
+            # Damaged bytes make zipfile, zlib, numpy and json raise almost anything.
             raise ValueError(f"{path} is not a file of demonstrations: {error}") from error
 
 
 def _locate(task_or_path: str | Path) -> Path:
-    folder = Path(str(resources.files("envs_assets"))) / "demonstrations"
+    folder = asset_path("demonstrations")
     shipped = sorted(path.stem for path in folder.glob("*.npz"))
     if str(task_or_path) in shipped:
         return folder / f"{task_or_path}.npz"

@@ -37,10 +37,11 @@ _FINGER_JOINTS = tuple(f"j2s6s200_joint_finger_{part}" for part in ("1", "2", "t
 _END_EFFECTOR_JOINT = "j2s6s200_joint_end_effector"
 
 _UPRIGHT = (0.0, np.pi, np.pi, 0.0, np.pi, 0.0)
-_FINGER_FORCE = 1.2
-_FINGER_VELOCITY = 1.0
+# Enough to carry the object at full speed, and gentle enough not to push the arm off its reference.
+_FINGER_FORCE = 1.2  # N m
+_FINGER_VELOCITY = 1.0  # rad/s, the vendor's limit
 _FINGER_GAIN = 0.3
-_GRIP_MARGIN = 0.01
+_GRIP_MARGIN = 0.01  # rad, above the wobble of fingers at rest
 
 FloatArray = NDArray[np.float64]
 

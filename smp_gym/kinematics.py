@@ -130,7 +130,8 @@ class UnreachableError(ValueError):
 def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     array = np.asarray(value, np.float64)
     if array.shape[-len(shape) :] != shape:
-        raise ValueError(f"{name} must have shape (..., {shape}), got {array.shape}")
+        wanted = ", ".join(map(str, shape))
+        raise ValueError(f"{name} must have shape (..., {wanted}), got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array}")
     return array

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -163,12 +164,17 @@ def _split(vector: Array, layout: tuple[Field, ...]) -> dict[str, Array]:
     return dict(zip((f.name for f in layout), np.split(vector, ends[:-1]), strict=True))
 
 
+@cache
+def _limits(layout: tuple[Field, ...]) -> tuple[Array, Array]:
+    low = np.repeat([f.low for f in layout], [f.size for f in layout])
+    high = np.repeat([f.high for f in layout], [f.size for f in layout])
+    return low, high
+
+
 def _join(values: Mapping[str, Any], layout: tuple[Field, ...]) -> NDArray[np.float32]:
-    parts = []
-    for f in layout:
-        part = np.atleast_1d(np.asarray(values[f.name], np.float64))
-        parts.append(np.clip(part, f.low, f.high))
-    return np.concatenate(parts).astype(np.float32)
+    low, high = _limits(layout)
+    joined = np.concatenate([np.atleast_1d(values[f.name]) for f in layout])
+    return np.clip(joined, low, high).astype(np.float32)
 
 
 def _check_task(task: str) -> None:
@@ -218,6 +224,12 @@ def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
     return _join(_DEMANDED[scene.task](scene), GOAL_LAYOUTS[scene.task])
 
 
+# The two that stay the same all episode are worked out once.
+@lru_cache(maxsize=16)
+def _constants(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return encode_desired_goal(scene), _encode_obstacles(scene.obstacles)
+
+
 def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
     width = sum(f.size for f in OBSTACLE_LAYOUT)
     rows = np.zeros((MAX_OBSTACLES, width), np.float32)
@@ -258,11 +270,12 @@ def encode(
         **{f"object_{name}": value for name, value in vars(manipulated).items()},
         "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
     }
+    desired_goal, obstacles = _constants(scene)
     return {
         "observation": _join(state, STATE_LAYOUT),
         "achieved_goal": _join(achieved_goal, GOAL_LAYOUTS[scene.task]),
-        "desired_goal": encode_desired_goal(scene),
-        "obstacles": _encode_obstacles(scene.obstacles),
+        "desired_goal": desired_goal.copy(),
+        "obstacles": obstacles.copy(),
     }
 
 

@@ -17,10 +17,10 @@ __all__ = [
     "OBSTACLE_COLUMNS",
     "best_pair",
     "blocked_paths",
-    "path_clearances",
-    "point_distance",
     "longest_steps",
     "packed",
+    "path_clearances",
+    "point_distance",
     "rasterised",
     "self_clearance",
     "sphere_paths",
@@ -384,7 +384,8 @@ def best_pair(
     Returns:
         The first of the best pairs, (-1, -1) if there is none.
     """
-    best, first, second = -1, -1, -1
+    first, second = -1, -1
+    best = np.int64(-1)
     for i in range(len(blocks)):
         for j in range(i):
             if not allowed[i, j] or not (blocks[i, 0] | blocks[j, 0]) & np.uint64(1):

@@ -68,9 +68,9 @@ class DifficultySpecification:
 
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.05),
-    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.02),
-    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.01),
+    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.03),
+    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.0),
+    "hard": DifficultySpecification(obstacles=6, on_table=2, clearance=0.020, free_share=0.0),
 }
 """Difficulties by name."""
 
@@ -81,8 +81,8 @@ _DETOUR_LENGTH = 0.2
 """Standard deviation (rad) and length scale (phase) of the detours, those of the primitive's smooth
 covariance: what it can propose is what has to be blocked."""
 
-_PROPOSALS = 120
-_WIDE = 64
+_PROPOSALS = 104
+_WIDE = 56
 _WIDEST = 2.5
 """Detours of ordinary width, and wider ones, up to so many times as wide."""
 
@@ -90,7 +90,7 @@ _FAMILY_SAMPLES = 20
 _WITNESS_SAMPLES = 200
 
 _MAX_DURATION = 14.0
-"""Seconds: longest witness, executed at constant speed of phase within the joint velocity limits."""
+"""Seconds: longest witness, at constant speed of phase within the joint velocity limits."""
 
 _FIXTURE_CLEARANCE = 0.010
 _SELF_CLEARANCE = 0.005
@@ -105,8 +105,8 @@ axis of the base. Nearer to it they would block more, but the shoulder, not the 
 _START_CLEARANCE = 0.05
 _BIN_CLEARANCE = 0.03
 _OVERLAP = 0.8
-"""Obstacles: distance (m) to the robot at the start, sideways to the bin, and how near their axes may
-come, as a share of the sum of their widths."""
+"""Obstacles: distance (m) to the robot at the start, sideways to the bin, and how near their axes
+may come, as a share of the sum of their widths."""
 
 _BLOCKING_DEPTH = 0.015
 """Metres: how deep an obstacle reaches into the covering spheres before a path counts as blocked.
@@ -117,17 +117,20 @@ _TABLE_SHARE = 0.35
 _SHAPE_SHARES = (0.5, 0.3, 0.2)
 """Obstacles: range of half-extents (m), share that stands on the table, shares of `SHAPES`."""
 
-_REPEATED = 0.1
-_CHOICE_DEPTH = 0.015
 _CANDIDATES = 1200
 _PAIRED_CANDIDATES = 200
+_REPEATED = 0.1
+"""How many obstacles are drawn to choose from, how many of the most blocking are compared in pairs,
+and what blocking a proposal counts for each obstacle that blocks it already."""
 
 _GRID_ORIGIN = np.array([-0.2, -0.9, 0.0])
-_SLACK = 0.5
 _GRID_SPACING = 0.04
 _GRID_SHAPE = (31, 46, 29)
 """Grid of points (m) on which candidates are compared; it holds all that the arm can reach in front
 of it. What is chosen is checked without the grid."""
+
+_GRID_SLACK = 0.02
+"""Metres added to the clearance on the grid, for what lies between its points and the samples."""
 
 _MAX_CHOICES = 8
 _MAX_DRAWS = 60
@@ -145,7 +148,7 @@ def _seed_sequence(task: str, difficulty: str, seed: int, version: int) -> np.ra
 
 def _smoothstep(phase: FloatArray) -> FloatArray:
     """Minimum-jerk blend from 0 to 1 with velocity and acceleration zero at both ends."""
-    return phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
+    return np.asarray(phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
 
 
 @functools.lru_cache(maxsize=8)
@@ -400,7 +403,7 @@ def _within_limits(trajectories: FloatArray) -> BoolArray:
 def _is_witness(
     task: _Task, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
 ) -> bool:
-    """Return whether a (W, 6) trajectory solves a scene: obstacles in `rows`, fixtures in `bodies`."""
+    """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`."""
     if not _within_limits(trajectory):
         return False
     path = task.paths(trajectory)
@@ -535,10 +538,11 @@ def _choose(
     chosen = [first, second]
     while len(chosen) < count:
         alive = clears[chosen].all(axis=0)
-        weight = _REPEATED**blocks[chosen].sum(axis=0)
-        allowed = (clears & alive).any(axis=1) & _apart(rows, rows[chosen]).all(axis=1)
+        weight = _REPEATED ** blocks[chosen].sum(axis=0)
+        allowed: BoolArray = np.any(clears & alive, axis=1)
+        allowed[~_apart(rows, rows[chosen]).all(axis=1)] = False
         if len(chosen) >= count - specification.on_table:
-            allowed &= standing
+            allowed[~standing] = False
         worth = np.where(allowed, (blocks * weight).sum(axis=1), -1.0)
         best = int(np.argmax(worth))
         if worth[best] < 0:
@@ -573,11 +577,11 @@ def _draw(
     if count:
         rows = _draw_candidates(task, family, goal, rng)
     proposed = family.free[: family.proposals]
-    blocks = family.near(rows, -_CHOICE_DEPTH)[:, : family.proposals] & proposed
+    blocks = family.near(rows, -_BLOCKING_DEPTH)[:, : family.proposals] & proposed
     order = np.argsort(-blocks.sum(axis=1), kind="stable")
     rows, blocks = rows[order], blocks[order]
     pairs = _apart(rows[:_PAIRED_CANDIDATES], rows[:_PAIRED_CANDIDATES])
-    clears = ~family.near(rows, specification.clearance + _GRID_SPACING * _SLACK)
+    clears = ~family.near(rows, specification.clearance + _GRID_SLACK)
     bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=(goal,))
     bodies = np.array([_row(body) for body in fixtures(bare)])
     able = family.able.copy()
@@ -593,7 +597,7 @@ def _draw(
                 if count and (free[0] or free.sum() > specification.free_share * proposed.sum()):
                     return None
                 return _Draw(goal, rows[choice], witness)
-        able &= ~alive
+        able[alive] = False
     return None
 
 
@@ -602,7 +606,7 @@ def _blocked(family: _Family, rows: FloatArray) -> BoolArray:
     paths = family.paths[: family.proposals]
     steps = sampling_kernels.longest_steps(paths)
     each = sampling_kernels.blocked_paths(paths, family.radius, steps, rows, _BLOCKING_DEPTH)
-    blocked: BoolArray = each.any(axis=0)
+    blocked: BoolArray = np.any(each, axis=0)
     return blocked
 
 
@@ -619,8 +623,8 @@ def sample_with_witness(
         version: version of the task's scene distribution.
 
     Returns:
-        The scene, and the witness (200, 6) in rad at equal steps of phase: from the scene's start to
-        the release, within joint limits, executable in 14 s within the velocity limits.
+        The scene, and the witness (200, 6) in rad at equal steps of phase: from the scene's start
+        to the release, within joint limits, executable in 14 s within the velocity limits.
 
     Raises:
         ValueError: no such task or difficulty, or a negative seed or version.

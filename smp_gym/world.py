@@ -44,8 +44,15 @@ OBSTACLE_COLORS: tuple[Color, ...] = (
 )
 """Obstacles take these in turn, so that neighbours can be told apart."""
 
+_ORIGIN = (0.0, 0.0, 0.0)
+_IDENTITY = (0.0, 0.0, 0.0, 1.0)
+_GEOMETRIES = {
+    "box": pybullet.GEOM_BOX,
+    "cylinder": pybullet.GEOM_CYLINDER,
+    "sphere": pybullet.GEOM_SPHERE,
+}
 _PARKING_HEIGHT = -20.0
-_SPECK = Obstacle(shape="sphere", position=(0.0, 0.0, 0.0), size=(0.01, 0.01, 0.01))
+_SPECK = Obstacle(shape="sphere", position=_ORIGIN, size=(0.01, 0.01, 0.01))
 _SKY_COLOR = (
     "--background_color_red=0.93 --background_color_green=0.95 --background_color_blue=0.97"
 )
@@ -146,8 +153,8 @@ class BulletWorld:
         parts: Sequence[Obstacle],
         *,
         color: Color,
-        position: Sequence[float] = (0.0, 0.0, 0.0),
-        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        position: Sequence[float] = _ORIGIN,
+        quaternion: Sequence[float] = _IDENTITY,
         mass: float = 0.0,
     ) -> None:
         """Add a rigid body made of primitive shapes.
@@ -234,7 +241,7 @@ class BulletWorld:
         self,
         name: str,
         position: Sequence[float],
-        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        quaternion: Sequence[float] = _IDENTITY,
     ) -> None:
         """Put a body somewhere, at rest; nothing may touch it where it is."""
         pybullet.resetBasePositionAndOrientation(
@@ -364,32 +371,20 @@ class BulletWorld:
         pybullet.removeBody(body, physicsClientId=self.client)
 
     def _park(self, slot: int, obstacle: Obstacle) -> None:
-        shape = Obstacle(shape=obstacle.shape, position=(0.0, 0.0, 0.0), size=obstacle.size)
+        shape = Obstacle(shape=obstacle.shape, position=_ORIGIN, size=obstacle.size)
         color = OBSTACLE_COLORS[slot % len(OBSTACLE_COLORS)]
         self.add_body(
             f"obstacle_{slot}", (shape,), color=color, position=(float(slot), 0.0, _PARKING_HEIGHT)
         )
 
     def _shapes(self, parts: Sequence[Obstacle], color: Color) -> tuple[int, int]:
-        kinds: list[int] = []
-        radii: list[float] = []
-        lengths: list[float] = []
-        for part in parts:
-            kind = {
-                "box": pybullet.GEOM_BOX,
-                "cylinder": pybullet.GEOM_CYLINDER,
-                "sphere": pybullet.GEOM_SPHERE,
-            }[part.shape]
-            kinds.append(kind)
-            radii.append(part.size[0])
-            lengths.append(2.0 * part.size[2])
-        if len(parts) == 1 and parts[0].position == (0.0, 0.0, 0.0):
-            return self._single_shape(kinds[0], parts[0], color)
+        if len(parts) == 1 and (parts[0].position, parts[0].quaternion) == (_ORIGIN, _IDENTITY):
+            return self._single_shape(parts[0], color)
         common: dict[str, Any] = {
-            "shapeTypes": kinds,
-            "radii": radii,
+            "shapeTypes": [_GEOMETRIES[part.shape] for part in parts],
+            "radii": [part.size[0] for part in parts],
             "halfExtents": [list(part.size) for part in parts],
-            "lengths": lengths,
+            "lengths": [2.0 * part.size[2] for part in parts],
             "physicsClientId": self.client,
         }
         positions = [list(part.position) for part in parts]
@@ -405,21 +400,15 @@ class BulletWorld:
         )
         return int(collision), int(visual)
 
-    def _single_shape(self, kind: int, part: Obstacle, color: Color) -> tuple[int, int]:
-        radius, height = part.size[0], 2.0 * part.size[2]
-        collision = pybullet.createCollisionShape(
-            kind,
-            radius=radius,
-            halfExtents=part.size,
-            height=height,
-            physicsClientId=self.client,
-        )
-        visual = pybullet.createVisualShape(
-            kind,
-            radius=radius,
-            halfExtents=part.size,
-            length=height,
-            rgbaColor=color,
-            physicsClientId=self.client,
-        )
+    def _single_shape(self, part: Obstacle, color: Color) -> tuple[int, int]:
+        """Return shapes without a compound around them, which contacts are cheaper with."""
+        common: dict[str, Any] = {
+            "shapeType": _GEOMETRIES[part.shape],
+            "radius": part.size[0],
+            "halfExtents": part.size,
+            "physicsClientId": self.client,
+        }
+        length = 2.0 * part.size[2]
+        collision = pybullet.createCollisionShape(height=length, **common)
+        visual = pybullet.createVisualShape(length=length, rgbaColor=color, **common)
         return int(collision), int(visual)

@@ -51,7 +51,7 @@ HELD_OBJECT_POSE = np.eye(4)
 HELD_OBJECT_POSE[:3, 3] = GRASP_CENTER
 HELD_OBJECT_POSE.setflags(write=False)
 
-GRASP_FINGER_ANGLES = (0.954, 0.954, 0.0, 0.0)
+GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
 
 _POTENTIAL_PER_METRE = 100.0

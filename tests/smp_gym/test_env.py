@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env as gymnasium_check_env
 from gymnasium.wrappers import RecordVideo
-from scipy.spatial.transform import Rotation
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import smp_gym
@@ -36,6 +35,7 @@ from smp_gym.tasks.placement import (
     RELEASE_TILT,
     START_CONFIGURATION,
 )
+from smp_gym.workcell import SUBSTEPS
 
 PLACEMENT = "smp_gym/Placement-v0"
 IDS = [entry.id for entry in smp_gym.ENVIRONMENTS]
@@ -478,26 +478,22 @@ def test_collision_of_the_arm_with_itself(env):
     assert pair[0] != pair[1]
 
 
-def lowest_corner(observation):
-    state = decode(observation, "Placement").object
-    signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
-    corners = state.position + Rotation.from_quat(state.quaternion).apply(signs * state.size)
-    return corners[np.argmin(corners[:, 2])]
+@pytest.mark.parametrize("substep", [0, 5, SUBSTEPS - 1])
+def test_a_contact_in_any_single_physics_step_is_seen(env, monkeypatch, substep):
+    env.reset(options={"scene": EMPTY})
+    world = env._cell.world
+    contacts, seen = world.contacts, []
 
+    def graze():
+        seen.append(contacts())
+        grazed = {("j2s6s200_link_3", "table")} if len(seen) == substep + 1 else set()
+        return seen[-1] | grazed
 
-def test_a_contact_between_two_environment_steps_is_seen(env):
-    """The object's corner grazes a marble in mid-step and is clear of it before and after."""
-    radius, overlap, step = 0.01, 1e-3, 20
-    env.reset(options={"scene": scene_with()})
-    before, after = (lowest_corner(r[0]) for r in drive(env, turned(0.9))[step - 1 : step + 1])
-    center = (before + after) / 2 - [0.0, 0.0, radius - overlap]
-    for corner in (before, after):
-        assert np.linalg.norm(corner - center) - radius > 1e-3
-    marble = Obstacle(shape="sphere", position=tuple(center), size=(radius,) * 3)
-    env.reset(options={"scene": scene_with(marble)})
-    results = drive(env, turned(0.9))
-    assert len(results) == step + 1
-    assert results[-1][4]["collision"] == ("object", "obstacle_0")
+    monkeypatch.setattr(world, "contacts", graze)
+    _, reward, terminated, _, info = env.step(STAY)
+    assert terminated
+    assert reward == COLLISION_REWARD
+    assert info["collision"] == ("j2s6s200_link_3", "table")
 
 
 def test_clearance_is_the_least_distance_so_far(env):
@@ -593,12 +589,12 @@ def test_episodes_can_be_recorded(tmp_path):
     env = gymnasium.make(PLACEMENT, render_mode="rgb_array", width=96, height=64)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        recorder = RecordVideo(env, str(tmp_path), disable_logger=True)
+        recorder = RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
         recorder.reset(seed=0)
         for _ in range(5):
             recorder.step(STAY)
         recorder.close()
-    (video,) = tmp_path.glob("*.mp4")
+    (video,) = tmp_path.glob("videos/*.mp4")
     assert video.stat().st_size > 0
 
 

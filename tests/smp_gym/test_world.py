@@ -112,6 +112,17 @@ def test_parts_of_a_compound_body_are_where_they_should_be(world):
     assert world.pose("caught")[0][2] == pytest.approx(3.1, abs=2e-3)
 
 
+def test_a_single_part_keeps_its_pose_in_the_body(world):
+    world.add_body("probe", [box(0.01, 0.01, 0.01)], color=RED, position=(0.0, 0.0, 0.3))
+    sideways = (np.sin(np.pi / 4), 0.0, 0.0, np.cos(np.pi / 4))
+    pole = Obstacle(shape="cylinder", position=ORIGIN, size=(0.02, 0.02, 0.2), quaternion=sideways)
+    world.add_body("pole", [pole], color=GREY)
+    assert world.clearance(["probe"], ["pole"], 1.0) == pytest.approx(0.27, abs=1e-3)
+    shifted = box(0.01, 0.01, 0.01, position=(0.0, 0.0, 0.2))
+    world.add_body("shifted", [shifted], color=GREY)
+    assert world.clearance(["probe"], ["shifted"], 1.0) == pytest.approx(0.08, abs=1e-3)
+
+
 def test_obstacles_can_be_exchanged_and_are_where_they_should_be(world):
     world.add_body("probe", [box(0.01, 0.01, 0.01)], color=RED)
     world.reserve_obstacles()

@@ -1,0 +1,555 @@
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import gymnasium
+import numpy as np
+import pybullet
+import pytest
+from playback import play
+
+import smp_gym  # noqa: F401
+from smp_gym import kinematics, sampling_kernels, scene_sampling
+from smp_gym.assets import jaco_urdf
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.observation import OBSTACLE_LAYOUT
+from smp_gym.scene import (
+    BIN_INNER_HALF_WIDTH,
+    BIN_WALL_THICKNESS,
+    DIFFICULTIES,
+    SHAPES,
+    Obstacle,
+    Scene,
+    fixtures,
+)
+from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene, sample_with_witness
+from smp_gym.tasks.placement import (
+    BIN_LOWER,
+    BIN_UPPER,
+    HELD_OBJECT_POSE,
+    START_CONFIGURATION,
+)
+
+BLOCKED = ("easy", "medium", "hard")
+SEEDS = range(10)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Scenes with witnesses by difficulty."""
+    return {
+        difficulty: [sample_with_witness("Placement", difficulty, seed) for seed in SEEDS]
+        for difficulty in DIFFICULTIES
+    }
+
+
+# --- What a scene is -------------------------------------------------------------------------
+
+
+def test_a_scene_is_the_same_in_another_process_and_after_other_scenes(drawn):
+    keys = [(difficulty, seed) for difficulty in DIFFICULTIES for seed in (7, 3)]
+    code = (
+        "import json, sys\n"
+        "from smp_gym.scene_sampling import sample_with_witness\n"
+        "out = []\n"
+        "for difficulty, seed in json.loads(sys.argv[1]):\n"
+        "    scene, witness = sample_with_witness('Placement', difficulty, seed)\n"
+        "    out.append([scene.to_json(), witness.tobytes().hex()])\n"
+        "print(json.dumps(out))\n"
+    )
+    environment = {**os.environ, "OMP_NUM_THREADS": "2", "PYTHONHASHSEED": "5"}
+    answer = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(keys)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for (difficulty, seed), (text, witness) in zip(keys, json.loads(answer.stdout), strict=True):
+        scene, here = drawn[difficulty][seed]
+        assert scene.to_json() == text
+        assert here.tobytes().hex() == witness
+
+
+def test_sample_scene_gives_the_scene_of_the_witness(drawn):
+    assert sample_scene("Placement", "medium", 4) == drawn["medium"][4][0]
+
+
+def test_scenes_survive_json(drawn):
+    for pairs in drawn.values():
+        for scene, _ in pairs:
+            assert Scene.from_json(scene.to_json()) == scene
+
+
+def test_task_version_difficulty_and_seed_all_matter():
+    scene = sample_scene("Placement", "easy", 1)
+    others = [
+        sample_scene("Placement", "easy", 2),
+        sample_scene("Placement", "medium", 1),
+        sample_scene("Placement", "easy", 1, version=1),
+    ]
+    for other in others:
+        assert other.goals != scene.goals
+        assert other.obstacles != scene.obstacles
+
+
+def test_global_random_state_is_neither_used_nor_changed():
+    before = sample_scene("Placement", "easy", 5)
+    np.random.seed(99)  # noqa: NPY002
+    state = np.random.get_state()[1].copy()  # noqa: NPY002
+    assert sample_scene("Placement", "easy", 5) == before
+    assert (np.random.get_state()[1] == state).all()  # noqa: NPY002
+
+
+def test_very_large_seeds_are_seeds():
+    assert sample_scene("Placement", "none", 2**40).seed == 2**40
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("Juggling", "easy", 0), "task must be one of Placement; got 'Juggling'"),
+        (("Placement", "nasty", 0), "must be one of none, easy, medium, hard; got 'nasty'"),
+        (("Placement", "easy", -1), "must not be negative, got -1"),
+        (("Placement", "easy", 0, -2), "must not be negative, got 0 and -2"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    for function in (sample_scene, sample_with_witness):
+        with pytest.raises(ValueError, match=message):
+            function(*arguments)
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+def test_scenes_are_what_their_difficulty_says(drawn, difficulty):
+    count = {"none": 0, "easy": 2, "medium": 4, "hard": 6}[difficulty]
+    for seed, (scene, _) in enumerate(drawn[difficulty]):
+        assert (scene.task, scene.difficulty, scene.seed) == ("Placement", difficulty, seed)
+        assert scene.start == START_CONFIGURATION
+        assert len(scene.obstacles) == count
+        assert (np.array(scene.goals[0].position) >= BIN_LOWER).all()
+        assert (np.array(scene.goals[0].position) <= BIN_UPPER).all()
+
+
+@pytest.mark.parametrize("difficulty", BLOCKED)
+def test_obstacles_are_of_the_documented_kind(drawn, difficulty):
+    field = next(f for f in OBSTACLE_LAYOUT if f.name == "position")
+    standing = Counter()
+    for scene, _ in drawn[difficulty]:
+        goal = np.array(scene.goals[0].position)
+        for obstacle in scene.obstacles:
+            assert all(0.03 <= half <= 0.06 for half in obstacle.size)
+            assert obstacle.velocity == (0.0, 0.0, 0.0)
+            assert obstacle.quaternion[:2] == (0.0, 0.0)
+            assert obstacle.position[2] >= obstacle.size[2]
+            assert all(field.low < c < field.high for c in obstacle.position)
+            half = obstacle.size[0]
+            aside = np.abs(np.array(obstacle.position[:2]) - goal[:2]).max() - half
+            assert aside >= BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS + 0.03 - 1e-9
+            standing[scene.seed] += obstacle.position[2] == obstacle.size[2]
+    assert all(standing[seed] >= SPECIFICATIONS[difficulty].on_table for seed in SEEDS)
+
+
+def test_all_shapes_and_many_bins_occur(drawn):
+    shapes = Counter(o.shape for scene, _ in drawn["hard"] for o in scene.obstacles)
+    assert set(shapes) == set(SHAPES)
+    goals = np.array([s.goals[0].position for pairs in drawn.values() for s, _ in pairs])
+    extent = np.array(BIN_UPPER[:2]) - BIN_LOWER[:2]
+    assert (np.ptp(goals[:, :2], axis=0) > 0.8 * extent).all()
+
+
+def test_a_scene_is_made_in_milliseconds():
+    sample_scene("Placement", "medium", 0)
+    begin = time.process_time()
+    for seed in range(20):
+        sample_scene("Placement", "medium", seed)
+    # 20 ms on an idle core; the bound leaves room for slow and busy ones.
+    assert (time.process_time() - begin) / 20 < 0.2
+
+
+# --- The witness -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+def test_witnesses_keep_limits_and_join_start_and_goal(drawn, difficulty):
+    for scene, witness in drawn[difficulty]:
+        assert witness.shape == (200, 6)
+        assert (witness > kinematics.JOINT_LOWER).all()
+        assert (witness < kinematics.JOINT_UPPER).all()
+        np.testing.assert_allclose(witness[0], scene.start, atol=1e-12)
+        seconds = 14.0 / 199
+        assert (np.abs(np.diff(witness, axis=0)) <= kinematics.JOINT_VELOCITY * seconds).all()
+        assert np.abs(np.diff(witness[[0, 1, -2, -1]], axis=0)[[0, 2]]).max() < 5e-3
+        end = (kinematics.end_effector_pose(witness[-1]) @ HELD_OBJECT_POSE)[:3, 3]
+        np.testing.assert_allclose(end[:2], scene.goals[0].position[:2], atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = gymnasium.make("smp_gym/Placement-v0")
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+def test_witnesses_succeed_in_the_physics(drawn, difficulty, env):
+    for scene, witness in drawn[difficulty]:
+        info = play(env, scene, witness)
+        assert info["is_success"], (scene.seed, info)
+
+
+class Bullet:
+    """The arm's real collision shapes with a held box, and obstacles, in a client of its own."""
+
+    def __init__(self):
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.arm = pybullet.loadURDF(
+            str(jaco_urdf()), useFixedBase=True, physicsClientId=self.client
+        )
+        names = {}
+        for joint in range(pybullet.getNumJoints(self.arm, physicsClientId=self.client)):
+            info = pybullet.getJointInfo(self.arm, joint, physicsClientId=self.client)
+            names[info[1].decode()] = joint
+        self.joints = [names[f"j2s6s200_joint_{i}"] for i in range(1, 7)]
+        self.fingers = [
+            names[f"j2s6s200_joint_finger_{part}"] for part in ("1", "2", "tip_1", "tip_2")
+        ]
+        self.box = self.body(Obstacle(shape="box", position=(0, 0, 0), size=(0.025, 0.025, 0.03)))
+        angles = Demonstrations.load("Placement").metadata["finger_angles"]
+        for joint, angle in zip(self.fingers, angles, strict=True):
+            pybullet.resetJointState(self.arm, joint, angle, physicsClientId=self.client)
+
+    def body(self, obstacle):
+        x, y, z = obstacle.size
+        if obstacle.shape == "box":
+            kind = {"shapeType": pybullet.GEOM_BOX, "halfExtents": (x, y, z)}
+        elif obstacle.shape == "cylinder":
+            kind = {"shapeType": pybullet.GEOM_CYLINDER, "radius": x, "height": 2 * z}
+        else:
+            kind = {"shapeType": pybullet.GEOM_SPHERE, "radius": x}
+        shape = pybullet.createCollisionShape(**kind, physicsClientId=self.client)
+        return pybullet.createMultiBody(
+            0.0, shape, -1, obstacle.position, obstacle.quaternion, physicsClientId=self.client
+        )
+
+    def clearance(self, configurations, obstacles):
+        """Return the least distance (m, up to 0.3) of arm and box to obstacles on the way."""
+        bodies = [self.body(obstacle) for obstacle in obstacles]
+        least = 0.3
+        for q in configurations:
+            for joint, angle in zip(self.joints, q, strict=True):
+                pybullet.resetJointState(self.arm, joint, angle, physicsClientId=self.client)
+            state = pybullet.getLinkState(
+                self.arm,
+                self.joints[-1],
+                computeForwardKinematics=True,
+                physicsClientId=self.client,
+            )
+            pose = np.eye(4)
+            pose[:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+            pose[:3, 3] = state[4]
+            held = pose @ kinematics.END_EFFECTOR @ HELD_OBJECT_POSE
+            z, y, x = _euler(held[:3, :3])
+            pybullet.resetBasePositionAndOrientation(
+                self.box,
+                held[:3, 3],
+                pybullet.getQuaternionFromEuler((x, y, z)),
+                physicsClientId=self.client,
+            )
+            for body in bodies:
+                for moving in (self.arm, self.box):
+                    points = pybullet.getClosestPoints(
+                        moving, body, least, physicsClientId=self.client
+                    )
+                    least = min([least, *(p[8] for p in points)])
+        for body in bodies:
+            pybullet.removeBody(body, physicsClientId=self.client)
+        return least
+
+
+def _euler(matrix):
+    """Return yaw, pitch and roll of a rotation matrix."""
+    return (
+        np.arctan2(matrix[1, 0], matrix[0, 0]),
+        -np.arcsin(np.clip(matrix[2, 0], -1, 1)),
+        np.arctan2(matrix[2, 1], matrix[2, 2]),
+    )
+
+
+@pytest.fixture(scope="module")
+def bullet():
+    made = Bullet()
+    yield made
+    pybullet.disconnect(made.client)
+
+
+@pytest.mark.parametrize("difficulty", BLOCKED)
+def test_real_shapes_on_the_witness_keep_its_clearance(drawn, difficulty, bullet):
+    wanted = {"easy": 0.040, "medium": 0.030, "hard": 0.020}[difficulty]
+    for scene, witness in drawn[difficulty][:5]:
+        assert bullet.clearance(witness[::2], scene.obstacles) >= wanted - 1e-3
+
+
+@pytest.mark.parametrize("difficulty", BLOCKED)
+def test_real_shapes_at_the_start_are_clear(drawn, difficulty, bullet):
+    for scene, _ in drawn[difficulty]:
+        assert bullet.clearance([scene.start], scene.obstacles) >= 0.05 - 1e-3
+
+
+def carried(scene, witness):
+    """Return the demonstrations at 200 samples, blended to the scene's start and release."""
+    q = Demonstrations.load("Placement").configurations
+    phase = np.linspace(0.0, 1.0, q.shape[1])[:, None]
+    blend = phase**3 * (10 - 15 * phase + 6 * phase**2)
+    start, end = np.array(scene.start) - q[:, :1], witness[-1] - q[:, -1:]
+    return q + (1 - blend) * start + blend * end
+
+
+@pytest.mark.parametrize("difficulty", BLOCKED)
+def test_the_mean_of_the_demonstrations_is_blocked(drawn, difficulty, bullet):
+    for scene, witness in drawn[difficulty]:
+        mean = carried(scene, witness).mean(axis=0)
+        assert bullet.clearance(mean[::2], scene.obstacles) <= 0.0
+
+
+@pytest.mark.parametrize("difficulty", BLOCKED)
+def test_scenes_are_harder_than_the_bare_bin(drawn, difficulty, env):
+    scene, witness = drawn[difficulty][0]
+    info = play(env, scene, carried(scene, witness).mean(axis=0), duration=8.0)
+    assert info["failure"] == "collision"
+    assert any(name.startswith("obstacle") for name in info["collision"])
+
+
+def gaussian_detours(rng, count, samples):
+    """Draw from the detours' process by a dense Gaussian, conditioned at its ends."""
+    mean_free = conditioned_covariance(samples)
+    values, vectors = np.linalg.eigh(mean_free)
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    return 0.2 * np.einsum("tr,nrj->ntj", factor, rng.standard_normal((count, samples, 6)))
+
+
+def conditioned_covariance(samples):
+    """Covariance of a unit squared-exponential process given value and slope 0 at both ends."""
+    length = 0.2
+    phase = np.linspace(0.0, 1.0, samples)
+    ends = np.array([0.0, 1.0])
+
+    def kernel(a, b):
+        d = a[:, None] - b
+        k = np.exp(-0.5 * (d / length) ** 2)
+        slope_b = k * d / length**2
+        slope_both = k * (1 / length**2 - d**2 / length**4)
+        return k, slope_b, slope_both
+
+    prior = kernel(phase, phase)[0]
+    k, slope, _ = kernel(phase, ends)
+    cross = np.concatenate([k, slope], axis=1)
+    k, slope, both = kernel(ends, ends)
+    known = np.block([[k, slope], [slope.T, both]])
+    return prior - cross @ np.linalg.solve(known, cross.T)
+
+
+def free_of_spheres(trajectories, obstacles):
+    """Return which (N, T, 6) trajectories keep their spheres off obstacles, by plain numpy."""
+    spheres = kinematics.concatenate(
+        kinematics.arm_spheres(),
+        kinematics.finger_spheres(Demonstrations.load("Placement").metadata["finger_angles"]),
+        kinematics.box_spheres((0.025, 0.025, 0.03), HELD_OBJECT_POSE),
+    )
+    kept = spheres.link >= 2
+    centers = kinematics.sphere_centers(trajectories, spheres)[..., kept, :]
+    deepest = np.full(len(trajectories), np.inf)
+    for obstacle in obstacles:
+        distance = numpy_distance(centers, obstacle) - spheres.radius[kept]
+        deepest = np.minimum(deepest, distance.min(axis=(1, 2)))
+    return deepest > 0.0
+
+
+def numpy_distance(points, obstacle):
+    """Return signed distances of (..., 3) points to an upright obstacle."""
+    _, _, s, c = obstacle.quaternion
+    yaw = 2 * np.arctan2(s, c)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    local = (points - np.array(obstacle.position)) @ turn
+    if obstacle.shape == "sphere":
+        return np.linalg.norm(local, axis=-1) - obstacle.size[0]
+    if obstacle.shape == "cylinder":
+        local = np.stack([np.hypot(local[..., 0], local[..., 1]), local[..., 2]], axis=-1)
+        size = np.array([obstacle.size[0], obstacle.size[2]])
+    else:
+        size = np.array(obstacle.size)
+    over = np.abs(local) - size
+    outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
+    return outside + np.minimum(over.max(axis=-1), 0.0)
+
+
+@pytest.mark.parametrize(("difficulty", "share"), [("easy", 0.4), ("medium", 0.2), ("hard", 0.1)])
+def test_fresh_draws_seldom_get_through(difficulty, share):
+    rng = np.random.default_rng(42)
+    solved = 0
+    scenes = 20
+    for seed in range(100, 100 + scenes):
+        scene, witness = sample_with_witness("Placement", difficulty, seed)
+        base = carried(scene, witness)[:, ::5]
+        draws = base[rng.integers(len(base), size=42)] + gaussian_detours(rng, 42, base.shape[1])
+        solved += free_of_spheres(draws, (*scene.obstacles, *fixtures(scene))).any()
+    assert solved <= share * scenes
+
+
+# --- The parts -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [20, 200])
+def test_detours_are_the_conditioned_gaussian_process(samples):
+    basis = scene_sampling._detour_basis(samples)
+    np.testing.assert_allclose(basis @ basis.T, conditioned_covariance(samples), atol=2e-3)
+
+
+def test_detours_vanish_with_their_slope_at_both_ends():
+    basis = scene_sampling._detour_basis(2001)
+    assert np.abs(basis[[0, -1]]).max() == 0.0
+    assert np.abs(np.diff(basis, axis=0)[[0, -1]] * 2000).max() < 0.03
+
+
+def random_obstacles(rng, count):
+    for _ in range(count):
+        shape = SHAPES[rng.integers(3)]
+        size = rng.uniform(0.03, 0.06, 3)
+        size[1] = size[0] if shape != "box" else size[1]
+        size[2] = size[0] if shape == "sphere" else size[2]
+        yaw = rng.uniform(-np.pi, np.pi)
+        yield Obstacle(
+            shape=shape,
+            position=tuple(rng.uniform([0.2, -0.2, 0.1], [0.6, 0.2, 0.5])),
+            quaternion=(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))),
+            size=tuple(size),
+        )
+
+
+def test_distance_agrees_with_the_physics_engine(bullet):
+    rng = np.random.default_rng(0)
+    radius = 0.005
+    for obstacle in random_obstacles(rng, 40):
+        row = np.array(scene_sampling._row(obstacle))
+        body = bullet.body(obstacle)
+        for _ in range(10):
+            x, y, z = np.array(obstacle.position) + rng.uniform(-0.12, 0.12, 3)
+            ball = bullet.body(Obstacle(shape="sphere", position=(x, y, z), size=(radius,) * 3))
+            points = pybullet.getClosestPoints(body, ball, 1.0, physicsClientId=bullet.client)
+            distance = sampling_kernels.point_distance(x, y, z, row)
+            if distance > 2 * radius:
+                assert distance == pytest.approx(points[0][8] + radius, abs=1.5e-3)
+            elif distance < -radius:
+                assert points[0][8] < 0.0
+            pybullet.removeBody(ball, physicsClientId=bullet.client)
+        pybullet.removeBody(body, physicsClientId=bullet.client)
+
+
+def test_rows_and_obstacles_convert_into_each_other():
+    for obstacle in random_obstacles(np.random.default_rng(1), 20):
+        back = scene_sampling._obstacle(np.array(scene_sampling._row(obstacle)))
+        assert back.shape == obstacle.shape
+        np.testing.assert_allclose(back.position, obstacle.position)
+        np.testing.assert_allclose(back.size, obstacle.size)
+        np.testing.assert_allclose(back.quaternion, obstacle.quaternion, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def paths():
+    """Random walks of a few spheres: centres (70, 15, 4, 3) and radii (4,)."""
+    rng = np.random.default_rng(3)
+    begin = rng.uniform([0.1, -0.3, 0.1], [0.7, 0.3, 0.5], (70, 1, 4, 3))
+    centers = begin + np.cumsum(rng.normal(0.0, 0.02, (70, 15, 4, 3)), axis=1)
+    return centers, np.array([0.02, 0.03, 0.05, 0.04])
+
+
+def test_sphere_paths_are_those_of_the_kinematics():
+    q = np.random.default_rng(0).uniform(kinematics.JOINT_LOWER, kinematics.JOINT_UPPER, (50, 6))
+    spheres = kinematics.arm_spheres()
+    centers = sampling_kernels.sphere_paths(
+        q, kinematics.BASE_TRANSFORM, kinematics.JOINT_ORIGINS, spheres.link, spheres.center
+    )
+    np.testing.assert_allclose(centers, kinematics.sphere_centers(q, spheres), atol=1e-12)
+
+
+@pytest.mark.parametrize("depth", [-0.01, 0.0, 0.015])
+def test_blocked_paths_agree_with_brute_force(paths, depth):
+    centers, radius = paths
+    obstacles = list(random_obstacles(np.random.default_rng(5), 30))
+    rows = np.array([scene_sampling._row(obstacle) for obstacle in obstacles])
+    steps = sampling_kernels.longest_steps(centers)
+    blocked = sampling_kernels.blocked_paths(centers, radius, steps, rows, depth)
+    brute = np.array(
+        [(numpy_distance(centers, o) - radius + depth <= 0).any(axis=(1, 2)) for o in obstacles]
+    )
+    np.testing.assert_array_equal(blocked, brute)
+    assert 0.01 < brute.mean() < 0.9
+
+
+def test_path_clearances_agree_with_brute_force(paths):
+    centers, radius = paths
+    obstacles = list(random_obstacles(np.random.default_rng(6), 30))
+    rows = np.array([scene_sampling._row(obstacle) for obstacle in obstacles])
+    for path in centers[:10]:
+        brute = [(numpy_distance(path, o) - radius).min() for o in obstacles]
+        found = sampling_kernels.path_clearances(path, radius, rows, 0.15)
+        np.testing.assert_allclose(found, np.minimum(brute, 0.15), atol=1e-12)
+
+
+def test_self_clearance_agrees_with_brute_force(paths):
+    centers, radius = paths
+    pairs = np.array([[0, 1], [1, 3]])
+    a, b = pairs.T
+    gap = np.linalg.norm(centers[0][:, a] - centers[0][:, b], axis=-1) - radius[a] - radius[b]
+    assert sampling_kernels.self_clearance(centers[0], radius, pairs) == pytest.approx(gap.min())
+
+
+def test_the_grid_tells_which_paths_come_near(paths):
+    centers, radius = paths
+    origin, spacing, shape = np.array([0.0, -0.4, 0.0]), 0.03, (28, 28, 22)
+    grid = sampling_kernels.rasterised(centers, radius, origin, spacing, shape)
+    obstacles = list(random_obstacles(np.random.default_rng(7), 20))
+    rows = np.array([scene_sampling._row(obstacle) for obstacle in obstacles])
+    found = sampling_kernels.touched(grid, origin, spacing, rows, 0.01, len(centers))
+    points = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1) * spacing
+    points = points.reshape(-1, 3) + origin
+    sure = np.zeros_like(found)
+    possible = np.zeros_like(found)
+    for n, path in enumerate(centers):
+        covered = np.zeros(len(points), bool)
+        for t in range(path.shape[0]):
+            gap = np.linalg.norm(points[:, None] - path[t], axis=-1) - radius
+            covered |= (gap <= 0.0).any(axis=1)
+            if t == 0:
+                first = covered.copy()
+        for m, obstacle in enumerate(obstacles):
+            near = numpy_distance(points, obstacle) <= 0.01
+            sure[m, n], possible[m, n] = (near & first).any(), (near & covered).any()
+    assert (found <= possible).all()
+    assert (found >= sure).all()
+    assert found.sum() > 0.9 * possible.sum() > 0
+
+
+def test_best_pair_agrees_with_brute_force():
+    rng = np.random.default_rng(8)
+    for _ in range(30):
+        blocks, clears = rng.random((12, 70)) < 0.3, rng.random((12, 130)) < 0.02
+        allowed = rng.random((12, 12)) < 0.7
+        found = sampling_kernels.best_pair(
+            sampling_kernels.packed(blocks), sampling_kernels.packed(clears), allowed
+        )
+        worth = {
+            (i, j): (blocks[i] | blocks[j]).sum()
+            for i in range(12)
+            for j in range(i)
+            if allowed[i, j] and (blocks[i, 0] | blocks[j, 0]) and (clears[i] & clears[j]).any()
+        }
+        if worth:
+            assert worth[found] == max(worth.values())
+        else:
+            assert found == (-1, -1)
+    nobody = np.zeros((3, 1), np.uint64)
+    assert sampling_kernels.best_pair(nobody, nobody, np.ones((3, 3), bool)) == (-1, -1)
