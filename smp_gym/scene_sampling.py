@@ -57,7 +57,7 @@ class DifficultySpecification:
         obstacles: how many.
         on_table: how many of them must stand on the table; the others stand or float.
         clearance: m, what every obstacle leaves between itself and the witness's spheres.
-        free_share: share of the proposals that may stay free; where more do, all is drawn anew.
+        free_share: share of the proposals that may stay free; where more do, it is drawn anew.
     """
 
     obstacles: int
@@ -69,8 +69,8 @@ class DifficultySpecification:
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
     "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.03),
-    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.0),
-    "hard": DifficultySpecification(obstacles=6, on_table=2, clearance=0.020, free_share=0.0),
+    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.01),
+    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.0),
 }
 """Difficulties by name."""
 
@@ -132,8 +132,11 @@ of it. What is chosen is checked without the grid."""
 _GRID_SLACK = 0.02
 """Metres added to the clearance on the grid, for what lies between its points and the samples."""
 
+_CANDIDATE_SETS = 2
 _MAX_CHOICES = 8
 _MAX_DRAWS = 60
+"""How many sets of candidates are tried with a family, how many choices with a set, and how many
+goals and families in all."""
 
 
 def _configuration(q: FloatArray) -> Configuration:
@@ -569,10 +572,26 @@ def _draw(
         configuration = _release_configuration(task, goal)
     except kinematics.UnreachableError:
         return None
-    count = specification.obstacles
+    crowd = specification.obstacles > 0
     family = _draw_family(
-        task, goal, configuration, _PROPOSALS if count else 0, _WIDE if count else 0, rng
+        task, goal, configuration, _PROPOSALS if crowd else 0, _WIDE if crowd else 0, rng
     )
+    for _ in range(_CANDIDATE_SETS if crowd else 1):
+        drawn = _place(task, specification, goal, family, rng)
+        if drawn is not None:
+            return drawn
+    return None
+
+
+def _place(
+    task: _Task,
+    specification: DifficultySpecification,
+    goal: Goal,
+    family: _Family,
+    rng: np.random.Generator,
+) -> _Draw | None:
+    """Draw obstacles for a family and find its witness; None if too much is free or nothing."""
+    count = specification.obstacles
     rows = np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
     if count:
         rows = _draw_candidates(task, family, goal, rng)
@@ -589,13 +608,13 @@ def _draw(
         choice = _choose(rows, blocks, clears & able, pairs, specification)
         if choice is None:
             return None
+        free = proposed & ~_blocked(family, rows[choice])
+        if count and (free[0] or free.sum() > specification.free_share * proposed.sum()):
+            return None
         alive = able & clears[choice].all(axis=0)
         for index in np.flatnonzero(alive):
             witness = _member(task, family, int(index))
             if _is_witness(task, witness, bodies, rows[choice], specification.clearance):
-                free = proposed & ~_blocked(family, rows[choice])
-                if count and (free[0] or free.sum() > specification.free_share * proposed.sum()):
-                    return None
                 return _Draw(goal, rows[choice], witness)
         able[alive] = False
     return None
