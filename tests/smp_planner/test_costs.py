@@ -298,9 +298,7 @@ def path_costs(robot, grid):
     }
 
 
-@pytest.mark.parametrize(
-    "name", ["collision", "self-collision", "joint limits", "velocity limits", "duration"]
-)
+@pytest.mark.parametrize("name", ["collision", "self-collision", "joint limits", "velocity limits"])
 def test_a_weight_means_the_same_for_every_number_of_steps(robot, grid, name):
     cost = path_costs(robot, grid)[name]
     coarse, _ = cost(trajectories(robot, particles=12, steps=200))

