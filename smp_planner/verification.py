@@ -89,7 +89,7 @@ class Verification:
 
 
 @njit(cache=True, fastmath=FAST, nogil=True)
-def _self_gap(placed, balls, step, radius, groups, sizes, pairs, ball_radius):
+def self_gap_of(placed, balls, step, radius, groups, sizes, pairs, ball_radius):
     """Return the least gap between spheres of `pairs` at a step, m; at most the horizon."""
     least = _SELF_HORIZON
     for g in range(groups.shape[0]):
@@ -230,7 +230,7 @@ def _check(
                             nearest = min(nearest, least)
                         gap[top, s] = least
                     if clear_of_itself:
-                        self_gap[top] = _self_gap(
+                        self_gap[top] = self_gap_of(
                             spheres_here,
                             balls_here,
                             step,
@@ -266,7 +266,7 @@ def _check(
         self_free[p] = clear_of_itself
 
 
-def _levers(robot: RobotModel) -> FloatArray:
+def levers(robot: RobotModel) -> FloatArray:
     """Return (S,n) m: no sphere is ever farther from the axis of a joint; 0 if it is not moved.
 
     By the triangle inequality, from the sphere inwards.
@@ -316,7 +316,7 @@ def check_collisions(
         robot.link,
         robot.center,
         robot.radius,
-        _levers(robot),
+        levers(robot),
         pairs.groups,
         pairs.sizes,
         pairs.pairs,

@@ -8,11 +8,14 @@ from typing import Any
 from smp_gym.demonstrations import Demonstrations
 from smp_planner.planners.base import PlannerModel
 from smp_planner.planners.promp import ProMPPlanner
+from smp_planner.planners.rrt_connect import RRTConnectPlanner
 from smp_planner.planners.smp import SMPPlanner
 
 __all__ = ["PLANNERS", "PlannerModel", "make_planner"]
 
-PLANNERS: dict[str, type[PlannerModel]] = {cls.name: cls for cls in (SMPPlanner, ProMPPlanner)}
+PLANNERS: dict[str, type[PlannerModel]] = {
+    cls.name: cls for cls in (SMPPlanner, ProMPPlanner, RRTConnectPlanner)
+}
 """Planner classes by name."""
 
 
