@@ -27,10 +27,10 @@ from smp_gym.tasks import make_task
 from smp_gym.workcell import Workcell
 from smp_gym.world import Camera
 
-__all__ = ["COLLISION_REWARD", "SHAPING_DISCOUNT", "ManipulationEnv"]
+__all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "ManipulationEnv"]
 
-COLLISION_REWARD = -100.0
-"""Reward of the step that collides; it ends the episode."""
+FAILURE_REWARD = -100.0
+"""Reward of the step that collides or loses the object; it ends the episode."""
 
 SHAPING_DISCOUNT = 0.99
 """Discount in the dense reward's difference of potentials. Shaping leaves the best policy what it
@@ -52,7 +52,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
 
-    **Rewards**: -1 a step, 0 at success, -100 at a collision; both end the episode. "dense" adds
+    **Rewards**: -1 a step, 0 at success, -100 at a collision or when the task is lost for good
+    (Placement: the object rests, let go, outside the bin); all three end the episode. "dense" adds
     the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential being
     0 once the episode has ended.
 
@@ -67,8 +68,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     **Info**, in every step: ``is_success``; ``collided``; ``collision``, the names of the two
     parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle,
     m, at most 0.05; ``failure``, "" or why the episode has failed: "collision", the task's own
-    cause (Placement: "dropped"), or "timeout"; ``seed`` (None for a scene that was handed in
-    without one); ``difficulty``; with the dense reward also ``previous_achieved_goal``.
+    cause (Placement: "dropped", onto the table), "misplaced" (lost otherwise), or "timeout";
+    ``seed`` (None for a scene that was handed in without one); ``difficulty``; with the dense
+    reward also ``previous_achieved_goal``.
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
@@ -182,11 +184,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         desired = observation["desired_goal"]
         collided = self._cell.collision is not None
         self._succeeded = bool(self.task.success(self._achieved, desired))
-        terminated = self._succeeded or collided
+        lost = bool(self.task.lost(self._achieved, desired))
+        terminated = self._succeeded or collided or lost
         if collided:
             self._failure = "collision"
         elif not self._failure:
-            self._failure = self.task.failure(self._cell.status)
+            self._failure = self.task.failure(self._cell.status) or ("misplaced" if lost else "")
         if not (terminated or self._failure) and self._elapsed >= MAX_EPISODE_STEPS:
             self._failure = "timeout"
         info = self._info()
@@ -219,10 +222,11 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         desired = np.asarray(desired_goal, np.float64)
         collided = self.task.collided(achieved)
         success = self.task.success(achieved, desired)
-        rewards = np.where(collided, COLLISION_REWARD, np.where(success, 0.0, -1.0))
+        failed = collided | self.task.lost(achieved, desired)
+        rewards = np.where(failed, FAILURE_REWARD, np.where(success, 0.0, -1.0))
         if self.reward == "dense":
             before = self.task.potential(_previous_goals(info, achieved.shape), desired)
-            after = np.where(collided | success, 0.0, self.task.potential(achieved, desired))
+            after = np.where(failed | success, 0.0, self.task.potential(achieved, desired))
             rewards = rewards + SHAPING_DISCOUNT * after - before
         return float(rewards) if rewards.ndim == 0 else rewards
 

@@ -70,6 +70,15 @@ class Task(Protocol):
         """Return whether goals (..., G) tell of a collision, (...)."""
         ...
 
+    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) tell of an episode that is over without success, (...).
+
+        It may depend on the desired goal for the verdict only, not for the moment: an episode that
+        ends here with one desired goal must end with any, as success or as failure. So hindsight
+        relabelling, which keeps the ends of episodes, stays exact.
+        """
+        ...
+
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return the potential (...) whose differences make up the dense reward."""
         ...

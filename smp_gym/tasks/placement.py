@@ -79,9 +79,10 @@ class Placement:
 
     Success: the object's centre is within the bin's inner walls and below the rim, the hand is off
     it, it has come to rest, and nothing collided on the way. The held object may touch nothing but
-    the hand; once let go it may lie in the bin, or drop on the table, which is a failure
-    ("dropped") that does not end the episode: ending it without the penalty of a collision would
-    reward dropping.
+    the hand. Once let go and come to rest it has been placed, which ends the episode: in the bin
+    with success, anywhere else with the penalty of a collision. Without the penalty dropping would
+    be a way out; without the end an agent that learns from hindsight finds that letting go at once
+    always reaches some goal, and hardly ever that it misses the desired one.
     """
 
     name: str = "Placement"
@@ -149,6 +150,11 @@ class Placement:
     def collided(self, achieved: FloatArray) -> BoolArray:
         """Return whether goals (..., 6) tell of a collision, (...)."""
         return achieved[..., _COLLIDED] > 0.5
+
+    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals (..., 6) tell of an object let go and at rest elsewhere, (...)."""
+        placed = (achieved[..., _RELEASED] > 0.5) & (achieved[..., _AT_REST] > 0.5)
+        return placed & ~self.success(achieved, desired)
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return minus the object's distance from its place, (...), 100 per metre."""

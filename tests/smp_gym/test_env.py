@@ -16,7 +16,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import smp_gym
 from smp_gym import kinematics
-from smp_gym.env import COLLISION_REWARD, SHAPING_DISCOUNT, ManipulationEnv
+from smp_gym.env import FAILURE_REWARD, SHAPING_DISCOUNT, ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, decode
 from smp_gym.scene import (
     BIN_HEIGHT,
@@ -390,13 +390,22 @@ def test_success_needs_the_object_at_rest(env):
     assert all(not r[4]["is_success"] for r in results[:-1])
 
 
-def test_an_object_dropped_on_the_table_is_a_failure_but_no_collision(env):
+def until_the_end(env, action, most=80):
+    results = []
+    while len(results) < most and not (results and results[-1][2]):
+        results.append(env.step(action))
+    return results
+
+
+def test_an_object_dropped_on_the_table_ends_the_episode_once_it_rests(env):
     env.reset(options={"scene": EMPTY})
-    infos = [env.step(OPEN)[2:5:2] for _ in range(60)]
-    terminated, info = infos[-1]
-    assert not terminated
+    results = until_the_end(env, OPEN)
+    _, reward, terminated, _, info = results[-1]
+    assert terminated
+    assert reward == FAILURE_REWARD
     assert (info["failure"], info["collided"], info["is_success"]) == ("dropped", False, False)
-    assert infos[3][1]["failure"] == ""
+    assert results[3][4]["failure"] == ""
+    assert all(r[1] == -1.0 for r in results[:-1])
 
 
 def collide(env, scene, target):
@@ -404,7 +413,7 @@ def collide(env, scene, target):
     results = drive(env, target)
     observation, reward, terminated, _, info = results[-1]
     assert terminated
-    assert reward == COLLISION_REWARD
+    assert reward == FAILURE_REWARD
     assert (info["failure"], info["collided"], info["is_success"]) == ("collision", True, False)
     assert decode(observation, "Placement").collided
     assert all(r[1] == -1.0 and not r[4]["collided"] for r in results[:-1])
@@ -455,9 +464,8 @@ def test_collision_of_the_hand_with_the_table_and_with_the_bin(env):
             x, y, _ = held_object(turned(0.5))
             scene = scene_with(bin_position=(x, y, held_object()[2] - 0.05))
         env.reset(options={"scene": scene})
-        for _ in range(40):
-            assert not env.step(OPEN)[2]
-        # The object lies below the hand: step aside before going down.
+        # Without the object, which falls beside the table and never rests, the hand comes first.
+        env.unwrapped._cell.world.place("object", (5.0, 5.0, -5.0))
         results = drive(env, turned(0.25 if other == "table" else 0.8))
         if other == "table":
             results += drive(
@@ -465,7 +473,7 @@ def test_collision_of_the_hand_with_the_table_and_with_the_bin(env):
             )
         _, reward, terminated, _, info = results[-1]
         assert terminated
-        assert reward == COLLISION_REWARD
+        assert reward == FAILURE_REWARD
         assert other in info["collision"]
         assert any(part.startswith("j2s6s200_link_") for part in info["collision"])
 
@@ -492,7 +500,7 @@ def test_a_contact_in_any_single_physics_step_is_seen(env, monkeypatch, substep)
     monkeypatch.setattr(world, "contacts", graze)
     _, reward, terminated, _, info = env.step(STAY)
     assert terminated
-    assert reward == COLLISION_REWARD
+    assert reward == FAILURE_REWARD
     assert info["collision"] == ("j2s6s200_link_3", "table")
 
 
@@ -531,12 +539,14 @@ def test_reward_of_goals_is_the_reward_of_the_step(env):
 
 
 def test_rewards_of_batches(env):
-    desired = np.tile([0.5, 0.3, 0.04, 0.0, 1.0, 1.0], (3, 1))
+    desired = np.tile([0.5, 0.3, 0.04, 0.0, 1.0, 1.0], (5, 1))
     achieved = desired.copy()
-    achieved[1, 0] += 0.5
-    achieved[2, 3] = 1.0
-    rewards = env.compute_reward(achieved, desired, [{}, {}, {}])
-    np.testing.assert_array_equal(rewards, [0.0, -1.0, COLLISION_REWARD])
+    achieved[1, [0, 5]] = 1.0, 0.0  # elsewhere and not yet at rest
+    achieved[2, 3] = 1.0  # collided
+    achieved[3, 0] = 1.0  # let go and at rest elsewhere
+    achieved[4, [0, 4]] = 1.0, 0.0  # elsewhere, still in the hand
+    rewards = env.compute_reward(achieved, desired, [{}] * 5)
+    np.testing.assert_array_equal(rewards, [0.0, -1.0, FAILURE_REWARD, FAILURE_REWARD, -1.0])
 
 
 @pytest.mark.parametrize("finish", [place, lambda e: drive(e, turned(0.6))])
@@ -552,7 +562,7 @@ def test_dense_rewards_add_up_to_sparse_ones_plus_the_first_potential(dense, fin
     assert results[-1][2]
     rewards = np.array([r[1] for r in results])
     sparse = np.full(len(results), -1.0)
-    sparse[-1] = COLLISION_REWARD if blocked else 0.0
+    sparse[-1] = FAILURE_REWARD if blocked else 0.0
     discounts = SHAPING_DISCOUNT ** np.arange(len(results))
     assert rewards @ discounts == pytest.approx(sparse @ discounts - start, abs=1e-6)
 

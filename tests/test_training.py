@@ -1,0 +1,238 @@
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import typer
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
+from typer.testing import CliRunner, Result
+
+from smp_gym.assets import asset_path
+from smp_gym.observation import MAX_EPISODE_STEPS
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "train_agent.py"
+ID = "smp_gym/Placement-v0"
+TINY: dict[str, Any] = {
+    "environments": 1,
+    "sac": {
+        "learning_starts": MAX_EPISODE_STEPS,
+        "batch_size": 32,
+        "buffer_size": 1000,
+        "policy_kwargs": {"net_arch": [16]},
+    },
+    "her": {"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+}
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("train_agent", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up.
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _write(path: Path, settings: Any) -> Path:
+    path.write_text(json.dumps(settings))
+    return path
+
+
+def _train(script: ModuleType, *arguments: str) -> Result:
+    app = typer.Typer()
+    app.command()(script.main)
+    return CliRunner().invoke(app, arguments, env={"COLUMNS": "500"})
+
+
+@pytest.fixture(scope="module")
+def trained(script: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a training was ended early and then gone on with."""
+    folder = tmp_path_factory.mktemp("agent")
+    settings = _write(folder / "settings.json", TINY)
+    for steps in ("450", "600"):
+        result = _train(
+            script, "--settings", str(settings), "--out", str(folder / "out"), "--steps", steps,
+            "--every", "300", "--episodes", "1", "--final-episodes", "1",
+        )  # fmt: skip
+        assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_training_learns_from_hindsight_and_goes_on(script: ModuleType, trained: Path) -> None:
+    evaluations = script.read_evaluations(trained / "out" / "evaluations.csv")
+    assert [e.steps for e in evaluations] == [300, 450, 600]
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
+    model = script.load_checkpoint(trained / "out", env)
+    assert model.num_timesteps == 600
+    # One gradient step for each step from the second after `learning_starts` on.
+    assert model._n_updates == 600 - MAX_EPISODE_STEPS - 1
+    # A step is counted before it is stored.
+    assert model.replay_buffer.size() >= 600 - 1
+    settings = script.Settings(**TINY)
+    untrained = script.make_model(env, settings, seed=0).get_parameters()["policy"]
+    change = [
+        float((model.get_parameters()["policy"][name] - value).abs().max())
+        for name, value in untrained.items()
+        if name.startswith("actor.")
+    ]
+    assert min(change) > 0.0
+    env.close()
+
+
+def test_the_agent_acts_without_environment_or_replay_buffer(trained: Path) -> None:
+    model = SAC.load(trained / "out" / "agent.zip", device="cpu")
+    env = gym.make(ID, difficulty="none")
+    observation, _ = env.reset(seed=0)
+    action, _ = model.predict(observation, deterministic=True)
+    assert env.action_space.contains(action)
+    env.close()
+
+
+def test_result_and_figure_are_written(trained: Path) -> None:
+    result = json.loads((trained / "out" / "result.json").read_text())
+    assert result["episodes"] == 1
+    assert (trained / "out" / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_hindsight_rewards_are_those_of_the_environment() -> None:
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, seed=0)
+    model = SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+        learning_starts=1000,
+        buffer_size=1000,
+        policy_kwargs={"net_arch": [8]},
+        seed=0,
+        device="cpu",
+    )
+    model.learn(900)
+    assert model.replay_buffer is not None
+    batch: Any = model.replay_buffer.sample(512)
+    achieved = batch.next_observations["achieved_goal"].numpy()
+    desired = batch.next_observations["desired_goal"].numpy()
+    near = (np.abs(achieved - desired)[:, :3] <= (0.08, 0.08, 0.05)).all(axis=1)
+    flags = (achieved[:, 4:] >= desired[:, 4:]).all(axis=1)
+    collided = achieved[:, 3] > 0.5
+    success = near & flags & ~collided
+    rewards = batch.rewards.numpy()[:, 0]
+    assert success.any()
+    assert not success.all()
+    assert (rewards[success] == 0.0).all()
+    assert (rewards[~success] <= -1.0).all()
+    assert (rewards[collided] == -100.0).all()
+    env.close()
+
+
+class _Known(gym.Env[np.ndarray, np.ndarray]):
+    """Succeeds at even seeds, collides at odd ones, after as many steps as the seed says."""
+
+    observation_space = gym.spaces.Box(-1.0, 1.0, (1,))
+    action_space = gym.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> Any:
+        self.seed, self.left = seed, seed
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: Any) -> Any:
+        self.left -= 1
+        odd = self.seed % 2 == 1
+        info = {"is_success": not odd, "collided": odd}
+        return np.zeros(1, np.float32), -1.0, self.left <= 0, False, info
+
+
+def test_evaluation_counts(script: ModuleType) -> None:
+    env = _Known()
+    evaluation = script.evaluate(SAC("MlpPolicy", env, device="cpu"), env, range(1, 6))
+    assert (evaluation.successes, evaluation.collisions, evaluation.episodes) == (2, 3, 5)
+    assert evaluation.mean_steps == 3.0
+    # Wilson's interval by its formula.
+    z, n, p = 1.959964, 5, 0.4
+    centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    assert (evaluation.low, evaluation.high) == pytest.approx((centre - half, centre + half))
+
+
+def test_the_shipped_hyper_parameters_are_accepted(script: ModuleType) -> None:
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
+    files = sorted(asset_path("agents").glob("*.json"))
+    assert files
+    for path in files:
+        settings = script.Settings.from_json(path)
+        small = script.Settings(
+            settings.environments, {**settings.sac, "buffer_size": 1000}, settings.her
+        )
+        assert isinstance(script.make_model(env, small, seed=0), SAC)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--task", "Juggle"), "Placement"),
+        (("--difficulty", "brutal"), "medium"),
+        (("--steps", "0"), "--steps"),
+        (("--episodes", "0"), "--episodes"),
+        (("--threads", "3"), "--threads"),
+        (("--settings", "/nowhere.json"), "/nowhere.json"),
+    ],
+)
+def test_bad_arguments_are_named(
+    script: ModuleType, tmp_path: Path, arguments: tuple[str, ...], named: str
+) -> None:
+    result = _train(script, "--out", str(tmp_path / "out"), *arguments)
+    assert result.exit_code == 2
+    assert named in result.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ([], "environments, sac, her"),
+        ({"environments": 1, "sac": {}}, "environments, sac, her"),
+        ({**TINY, "environments": 0}, "environments"),
+        ({**TINY, "sac": {"learning_starts": 10}}, "learning_starts"),
+    ],
+)
+def test_bad_settings_are_named(
+    script: ModuleType, tmp_path: Path, settings: Any, named: str
+) -> None:
+    with pytest.raises(ValueError, match=named):
+        script.Settings.from_json(_write(tmp_path / "settings.json", settings))
+
+
+def test_settings_that_are_not_json(script: ModuleType, tmp_path: Path) -> None:
+    path = tmp_path / "settings.json"
+    path.write_text("learning_rate: 1")
+    with pytest.raises(ValueError, match="must be JSON"):
+        script.Settings.from_json(path)
+
+
+def test_unknown_arguments_of_sac_are_named(script: ModuleType) -> None:
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
+    settings = script.Settings(1, {"learning_pace": 1.0}, None)
+    with pytest.raises(ValueError, match="learning_pace"):
+        script.make_model(env, settings, seed=0)
+    env.close()
+
+
+def test_a_folder_of_another_training_is_left_alone(script: ModuleType, trained: Path) -> None:
+    before = (trained / "out" / "run.json").read_text()
+    result = _train(
+        script, "--settings", str(trained / "settings.json"), "--out", str(trained / "out"),
+        "--seed", "1",
+    )  # fmt: skip
+    assert result.exit_code == 2
+    assert "another training" in result.output
+    assert (trained / "out" / "run.json").read_text() == before
