@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -13,6 +14,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.jaco import ACTION_SIZE
 from smp_gym.observation import (
     CONTROL_PERIOD,
@@ -118,9 +120,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
         self._cell = Workcell(self.task, gui=render_mode == "human")
         self._scene: Scene | None = None
-        self._elapsed = 0
+        self._actions: list[NDArray[np.float64]] = []
         self._failure = ""
-        self._succeeded = False
+        self._succeeded = self._over = False
         self._next_frame = 0.0
 
     # Gymnasium's interface
@@ -148,15 +150,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         """
         self._check_open()
         super().reset(seed=seed)
-        scene = self._choose_scene(seed, options)
-        self._scene = None
-        self._cell.load(scene)
-        self._scene = scene
-        self._elapsed = 0
-        self._failure = ""
-        self._succeeded = False
-        observation = self._observe()
-        self._achieved = observation["achieved_goal"]
+        observation = self._begin(self._choose_scene(seed, options))
         if self.render_mode == "human":
             self._cell.world.look(self._camera)
             self.render()
@@ -177,28 +171,15 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         checked = _checked_action(action)
         _ = self.scene
-        self._cell.advance(checked)
-        self._elapsed += 1
-        observation = self._observe()
-        previous, self._achieved = self._achieved, observation["achieved_goal"]
-        desired = observation["desired_goal"]
-        collided = self._cell.collision is not None
-        self._succeeded = bool(self.task.success(self._achieved, desired))
-        lost = bool(self.task.lost(self._achieved, desired))
-        terminated = self._succeeded or collided or lost
-        if collided:
-            self._failure = "collision"
-        elif not self._failure:
-            self._failure = self.task.failure(self._cell.status) or ("misplaced" if lost else "")
-        if not (terminated or self._failure) and self._elapsed >= MAX_EPISODE_STEPS:
-            self._failure = "timeout"
+        previous = self._achieved
+        observation = self._advance(checked)
         info = self._info()
         if self.reward == "dense":
             info["previous_achieved_goal"] = previous
-        reward = float(self.compute_reward(self._achieved, desired, info))
+        reward = float(self.compute_reward(self._achieved, observation["desired_goal"], info))
         if self.render_mode == "human":
             self.render()
-        return observation, reward, terminated, False, info
+        return observation, reward, self._over, False, info
 
     def compute_reward(
         self, achieved_goal: FloatArray, desired_goal: FloatArray, info: Any
@@ -230,6 +211,57 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             rewards = rewards + SHAPING_DISCOUNT * after - before
         return float(rewards) if rewards.ndim == 0 else rewards
 
+    def save_state(self) -> EpisodeState:
+        """Return the present state, from which the episode can be continued later.
+
+        States are plain data: any number may be kept, for as long as one likes, and saving changes
+        nothing. Wrappers keep counts of their own (`TimeLimit`), which a state does not hold.
+        """
+        self._check_open()
+        return EpisodeState(
+            scene=self.scene,
+            actions=np.array(self._actions).reshape(-1, ACTION_SIZE),
+            generator=copy.deepcopy(self.np_random.bit_generator.state),
+            generator_seed=self.np_random_seed,
+            fingerprint=fingerprint(self._cell.robot, self._cell.manipulated),
+        )
+
+    def restore_state(self, state: EpisodeState) -> tuple[Observation, dict[str, Any]]:
+        """Return to a state, exactly: what follows is the same bit for bit.
+
+        The episode is played again from its start, or, where the state lies ahead in the present
+        episode, from now; see `EpisodeState` for the reason. That takes about as long as playing
+        it took. Also a state of another environment of the same task can be restored.
+
+        Returns:
+            What `reset` would return in this state.
+
+        Raises:
+            TypeError: not an `EpisodeState`.
+            ValueError: the state is of another task.
+            RuntimeError: the physics does not come to the same state again, as may be on another
+                machine or with other package versions; a reset is needed then.
+        """
+        self._check_open()
+        if not isinstance(state, EpisodeState):
+            raise TypeError(f"state must be an EpisodeState, got {type(state).__name__}")
+        self.task.check_scene(state.scene)
+        played = len(self._actions)
+        past = np.array(self._actions).reshape(-1, ACTION_SIZE)
+        ahead = self._scene == state.scene and np.array_equal(past, state.actions[:played])
+        observation = self._observe() if ahead else self._begin(state.scene)
+        for action in state.actions[len(self._actions) :]:
+            observation = self._advance(action)
+        if fingerprint(self._cell.robot, self._cell.manipulated) != state.fingerprint:
+            self._scene = None
+            raise RuntimeError(
+                f"the state after {len(state.actions)} steps cannot be restored: the same actions "
+                "lead elsewhere here; states are exact for one machine and its package versions"
+            )
+        self.np_random.bit_generator.state = copy.deepcopy(dict(state.generator))
+        self._np_random_seed = state.generator_seed
+        return observation, self._info()
+
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3) in mode "rgb_array"; in "human", keep real time."""
         self._check_open()
@@ -253,6 +285,36 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         if self._cell.world.closed:
             raise RuntimeError("the environment is closed; make a new one")
 
+    def _begin(self, scene: Scene) -> Observation:
+        """Stand at the start of a scene."""
+        self._scene = None
+        self._cell.load(scene)
+        self._scene = scene
+        self._actions = []
+        self._failure = ""
+        self._succeeded = self._over = False
+        observation = self._observe()
+        self._achieved = observation["achieved_goal"]
+        return observation
+
+    def _advance(self, action: NDArray[np.float64]) -> Observation:
+        """Move for one step and judge what came of it."""
+        self._cell.advance(action)
+        self._actions.append(action)
+        observation = self._observe()
+        self._achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        collided = self._cell.collision is not None
+        self._succeeded = bool(self.task.success(self._achieved, desired))
+        lost = bool(self.task.lost(self._achieved, desired))
+        self._over = self._succeeded or collided or lost
+        if collided:
+            self._failure = "collision"
+        elif not self._failure:
+            self._failure = self.task.failure(self._cell.status) or ("misplaced" if lost else "")
+        if not (self._over or self._failure) and len(self._actions) >= MAX_EPISODE_STEPS:
+            self._failure = "timeout"
+        return observation
+
     def _choose_scene(self, seed: int | None, options: Mapping[str, Any] | None) -> Scene:
         options = dict(options or {})
         given = options.pop("scene", None)
@@ -269,7 +331,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     def _observe(self) -> Observation:
         cell = self._cell
         achieved = self.task.achieved_goal(cell.status)
-        return encode(self.scene, cell.robot, cell.manipulated, achieved, self._elapsed)
+        return encode(self.scene, cell.robot, cell.manipulated, achieved, len(self._actions))
 
     def _info(self) -> dict[str, Any]:
         return {
