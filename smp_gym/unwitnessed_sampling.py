@@ -1,0 +1,95 @@
+"""Scenes placed without a witness: whether they can be solved is for others to find out.
+
+A scene with a witness favours planners that look where witnesses are looked for. Here goal, family
+and candidates are drawn as in `smp_gym.scene_sampling`, and obstacles are chosen to block the mean
+and as many proposals as they can, but nobody is kept clear of them. So some of these scenes cannot
+be solved; `scripts/make_benchmark.py` certifies those that can.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smp_gym import kinematics
+from smp_gym import scene_sampling as sampling
+from smp_gym.scene import DIFFICULTIES, TASKS, Goal, ManipulatedObject, Scene
+
+__all__ = ["place_without_witness"]
+
+_MAX_DRAWS = 60
+
+
+def _choose_obstacles(
+    task: sampling._Task,
+    specification: sampling.DifficultySpecification,
+    goal: Goal,
+    family: sampling._Family,
+    rng: np.random.Generator,
+) -> sampling.FloatArray | None:
+    """Return (M, 9) rows that block the mean and enough of the proposals; None if there are none"""
+    proposed = family.free[: family.proposals]
+    rows = sampling._draw_candidates(task, family, goal, rng)
+    depth = -sampling._BLOCKING_DEPTH
+    blocks = family.near(rows, depth)[:, : family.proposals] & proposed
+    order = np.argsort(-blocks.sum(axis=1), kind="stable")
+    rows, blocks = rows[order], blocks[order]
+    first = rows[: sampling._PAIRED_CANDIDATES]
+    # One possible witness that nothing comes near.
+    clears = np.ones((len(rows), 1), np.bool_)
+    choice = sampling._choose(rows, blocks, clears, sampling._apart(first, first), specification)
+    if choice is None:
+        return None
+    free = proposed & ~sampling._blocked(family, rows[choice])
+    if free[0] or free.sum() > specification.free_share * proposed.sum():
+        return None
+    chosen: sampling.FloatArray = rows[choice]
+    return chosen
+
+
+def place_without_witness(task: str, difficulty: str, seed: int, version: int = 0) -> Scene:
+    """Return the scene of (task, version, difficulty, seed) that is placed without a witness.
+
+    Args:
+        task: name of the task, one of `smp_gym.scene.TASKS`.
+        difficulty: one of `smp_gym.scene.DIFFICULTIES` but "none", which has nothing to place.
+        seed: not negative.
+        version: version of the task's scene distribution.
+
+    Returns:
+        The scene. Its own `seed` is None, since `sample_scene` would draw another one from it.
+
+    Raises:
+        ValueError: no such task or difficulty, or a negative seed or version.
+    """
+    if task not in TASKS:
+        raise ValueError(f"task must be one of {', '.join(TASKS)}; got {task!r}")
+    crowded = [name for name in DIFFICULTIES if sampling.SPECIFICATIONS[name].obstacles]
+    if difficulty not in crowded:
+        raise ValueError(f"difficulty must be one of {', '.join(crowded)}; got {difficulty!r}")
+    if seed < 0 or version < 0:
+        raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
+    specification = sampling.SPECIFICATIONS[difficulty]
+    sequence = sampling._seed_sequence(task, f"{difficulty}/without a witness", seed, version)
+    rng = np.random.Generator(np.random.PCG64(sequence))
+    data = sampling._placement()
+    for _ in range(_MAX_DRAWS):
+        goal = sampling._draw_goal(rng)
+        try:
+            configuration = sampling._release_configuration(data, goal)
+        except kinematics.UnreachableError:
+            continue
+        family = sampling._draw_family(
+            data, goal, configuration, sampling._PROPOSALS, sampling._WIDE, rng
+        )
+        rows = _choose_obstacles(data, specification, goal, family, rng)
+        if rows is not None:
+            return Scene(
+                task=task,
+                version=version,
+                difficulty=difficulty,  # type: ignore[arg-type]
+                start=sampling._configuration(data.start),
+                manipulated=ManipulatedObject(),
+                goals=(goal,),
+                obstacles=tuple(sampling._obstacle(row) for row in rows),
+            )
+    raise RuntimeError(f"no obstacles block enough in {task}, {difficulty}, seed {seed}")
