@@ -121,7 +121,9 @@ def load_episodes(task: str, difficulty: str) -> tuple[FrozenEpisode, ...]:
     return tuple(episodes)
 
 
-def write_episodes(path: Path, header: Mapping[str, Any], episodes: Sequence[FrozenEpisode]) -> None:
+def write_episodes(
+    path: Path, header: Mapping[str, Any], episodes: Sequence[FrozenEpisode]
+) -> None:
     """Write a list; equal content gives equal bytes.
 
     Args:
@@ -148,9 +150,10 @@ class FrozenEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Plays the episodes of a list, in order.
 
     A reset after an episode has ended plays the next one, and after the last the first again. Any
-    other reset begins the list anew: so each call of stable-baselines3's `evaluate_policy`, and each
-    evaluation of an `EvalCallback`, plays the same episodes. ``reset(options={"episode": k})`` plays
-    the k-th of the list. A seed given to `reset` seeds ``np_random`` and chooses nothing.
+    other reset begins the list anew: so each call of stable-baselines3's `evaluate_policy`, and
+    each evaluation of an `EvalCallback`, plays the same episodes.
+    ``reset(options={"episode": k})`` plays the k-th of the list. A seed given to `reset` seeds
+    ``np_random`` and chooses nothing.
 
     ``info`` holds ``frozen_episode``, the episode's index in the list, and ``half``.
 

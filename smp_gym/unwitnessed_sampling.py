@@ -2,7 +2,8 @@
 
 A scene with a witness favours planners that look where witnesses are looked for. Here goal, family
 and candidates are drawn as in `smp_gym.scene_sampling`, and obstacles are chosen to block the mean
-and as many proposals as they can, but nobody is kept clear of them. So some of these scenes cannot
+and as many proposals as they can; they keep clear of the configurations in which the proposals
+begin and end, but of nothing in between. So some of these scenes cannot
 be solved; `scripts/make_benchmark.py` certifies those that can.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from smp_gym import kinematics
+from smp_gym import kinematics, sampling_kernels
 from smp_gym import scene_sampling as sampling
 from smp_gym.scene import DIFFICULTIES, TASKS, Goal, ManipulatedObject, Scene
 
@@ -26,9 +27,13 @@ def _choose_obstacles(
     family: sampling._Family,
     rng: np.random.Generator,
 ) -> sampling.FloatArray | None:
-    """Return (M, 9) rows that block the mean and enough of the proposals; None if there are none"""
+    """Return (M, 9) rows that block the mean and enough of the proposals; None if none do."""
     proposed = family.free[: family.proposals]
     rows = sampling._draw_candidates(task, family, goal, rng)
+    # Every proposal ends over the goal: without this, that is where the obstacles would gather.
+    end, radius = task.paths(family.configuration[None]), task.spheres.radius
+    clearance = sampling_kernels.path_clearances(end, radius, rows, 1.0)
+    rows = rows[clearance >= sampling._START_CLEARANCE]
     depth = -sampling._BLOCKING_DEPTH
     blocks = family.near(rows, depth)[:, : family.proposals] & proposed
     order = np.argsort(-blocks.sum(axis=1), kind="stable")

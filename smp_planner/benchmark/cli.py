@@ -20,6 +20,7 @@ __all__ = ["app"]
 
 _INTERRUPTED = 130
 _MAP_SCENES = 20
+_FIRST_SEED = 100_000
 
 app = typer.Typer(
     name="smp-bench",
@@ -80,14 +81,22 @@ def run(
     ] = "smp,promp",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each task and method.")] = 20,
     seed: Annotated[
-        int,
+        int | None,
         typer.Option(
             min=0,
             help="Seed of the first episode; episode k has seed + k, the same scene for every "
-            "method. Tune on seeds below 100000 only.",
+            "method. Tune on seeds below 100000 only. Default: 100000.",
         ),
-    ] = 100_000,
+    ] = None,
     difficulty: _Difficulty = "medium",
+    frozen: Annotated[
+        bool,
+        typer.Option(
+            "--frozen",
+            help="Play the first episodes of the frozen lists, half of them sampled around a "
+            "witness, half certified by RRT-Connect; the halves are also reported apart.",
+        ),
+    ] = False,
     jobs: Annotated[
         int | None,
         typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
@@ -126,8 +135,11 @@ def run(
     )
     from smp_planner.benchmark.store import ResultsError
 
+    first = seed if seed is not None else 0 if frozen else _FIRST_SEED
     try:
-        manifest = make_manifest(_names(tasks), _names(methods), difficulty, seed, episodes)
+        manifest = make_manifest(
+            _names(tasks), _names(methods), difficulty, first, episodes, frozen=frozen
+        )
     except ValueError as error:
         raise _fail(str(error), 2) from error
     workers = jobs or available_cores()
@@ -166,13 +178,19 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
 
 def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     """Write rows and summary, and show the summary."""
+    from smp_gym.frozen import load_episodes
     from smp_gym.scene_sampling import sample_scene
     from smp_planner.benchmark.map_accuracy import measure_default_map
     from smp_planner.benchmark.report import summarise, table
     from smp_planner.benchmark.store import write_csv, write_json
 
-    seeds = range(manifest.seed, manifest.seed + min(manifest.episodes, _MAP_SCENES))
-    scenes = [sample_scene(t, manifest.difficulty, s) for t in manifest.tasks for s in seeds]
+    count = min(manifest.episodes, _MAP_SCENES)
+    if manifest.frozen:
+        lists = [load_episodes(task, manifest.difficulty)[:count] for task in manifest.tasks]
+        scenes = [episode.scene for episodes in lists for episode in episodes]
+    else:
+        seeds = range(manifest.seed, manifest.seed + count)
+        scenes = [sample_scene(t, manifest.difficulty, s) for t in manifest.tasks for s in seeds]
     summary = summarise(manifest, rows, measure_default_map(scenes))
     write_csv(out / "episodes.csv", rows)
     write_json(out / "summary.json", summary)
@@ -188,7 +206,7 @@ def _draw(
     """Play the first episode of each task and method again and write its figure and video."""
     from smp_planner.benchmark.runner import draw as draw_episodes
 
-    keys = [key for key in manifest.episode_keys() if key.seed == manifest.seed]
+    keys = manifest.first_keys()
     with _console(error=True).status("drawing figures and videos"):
         written = draw_episodes(keys, out, jobs=jobs, figure=figure, video=video)
     for path in written:

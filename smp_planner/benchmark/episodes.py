@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.frozen import load_episodes
 from smp_gym.observation import DecodedObservation, decode
 from smp_gym.scene import Scene
 from smp_planner.policy import PlannerPolicy
@@ -42,12 +43,15 @@ class EpisodeKey:
         method: name of the method, one of `smp_planner.planners.PLANNERS`.
         difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         seed: with which the environment is reset; equal seeds are equal scenes for every method.
+        half: of the frozen list that the episode is from, one of `smp_gym.frozen.HALVES`; its seed
+            then names it there. Empty for an episode that is drawn from its seed.
     """
 
     task: str
     method: str
     difficulty: str
     seed: int
+    half: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class EpisodeRow:
         clearance: least distance of arm or held object to an obstacle, judged by the physics, m;
             the environment does not tell distances above 0.05 apart.
         steps: environment steps.
+        half: of the frozen list, see `EpisodeKey`.
         share_collision_free: share of the particles that are collision-free on the exact map.
         share_executable: share within the joint limits and the planner's limit of duration.
         share_good: share that are both.
@@ -98,6 +103,7 @@ class EpisodeRow:
     path_length: float
     clearance: float
     steps: int
+    half: str = ""
     share_collision_free: float | None = None
     share_executable: float | None = None
     share_good: float | None = None
@@ -114,7 +120,7 @@ class EpisodeRow:
     @property
     def key(self) -> EpisodeKey:
         """Which episode this is."""
-        return EpisodeKey(self.task, self.method, self.difficulty, self.seed)
+        return EpisodeKey(self.task, self.method, self.difficulty, self.seed, self.half)
 
 
 class EpisodePlayer(Protocol):
@@ -175,18 +181,27 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
     }
 
 
+def _reset_arguments(key: EpisodeKey) -> dict[str, Any]:
+    if not key.half:
+        return {"seed": key.seed}
+    for episode in load_episodes(key.task, key.difficulty):
+        if (episode.half, episode.seed) == (key.half, key.seed):
+            return {"options": {"scene": episode.scene}}
+    raise ValueError(f"no frozen list holds the episode {key}")
+
+
 def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> Rollout:
     """Play one episode to its end with the best particle of each plan.
 
     Args:
-        key: names the episode; its seed resets the environment.
+        key: names the episode.
         env: an environment of the key's task and difficulty; renders if made to.
         policy: acts.
     """
     rendering = env.render_mode == "rgb_array"
     frames: list[Any] = []
     began = time.perf_counter()
-    observation, info = env.reset(seed=key.seed)
+    observation, info = env.reset(**_reset_arguments(key))
     first = decoded = decode(observation, key.task)
     hand, carried = [decoded.robot.end_effector_position], [decoded.object.position]
     state = None
@@ -221,6 +236,7 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
         path_length=float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()),
         clearance=float(info["clearance"]),
         steps=steps,
+        half=key.half,
         episode_time=elapsed,
         **_of_plan(plan),
     )

@@ -193,7 +193,7 @@ def scene_figure(rollout: Rollout, path: Path) -> None:
     figure.text(
         0.02,
         0.905,
-        f"difficulty {row.difficulty}, seed {row.seed}: {outcome}",
+        f"difficulty {row.difficulty}, {row.half} seed {row.seed}: {outcome}".replace("  ", " "),
         fontsize=10,
         color=_DEMONSTRATION,
     )

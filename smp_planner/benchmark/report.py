@@ -13,6 +13,7 @@ import numpy as np
 from rich.table import Table
 from scipy import stats
 
+from smp_gym.frozen import HALVES
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.store import Manifest
@@ -108,7 +109,8 @@ def summarise(
 ) -> dict[str, Any]:
     """Return the summary of a run, ready for JSON.
 
-    Rates carry Wilson intervals and means bootstrap intervals, both of level `CONFIDENCE`.
+    Rates carry Wilson intervals and means bootstrap intervals, both of level `CONFIDENCE`. Of
+    frozen lists, each group also holds the summaries of the halves, under ``halves``.
 
     Args:
         manifest: of the run.
@@ -121,10 +123,17 @@ def summarise(
             chosen = [row for row in rows if (row.task, row.method) == (task, method)]
             if chosen:
                 groups.append({"task": task, "method": method, **_of_group(chosen)})
+                halves = {half: [row for row in chosen if row.half == half] for half in HALVES}
+                groups[-1]["halves"] = {
+                    half: _of_group(rows_of_half)
+                    for half, rows_of_half in halves.items()
+                    if rows_of_half
+                }
     return {
         "difficulty": manifest.difficulty,
         "seed": manifest.seed,
         "episodes": manifest.episodes,
+        "frozen": manifest.frozen,
         "confidence": CONFIDENCE,
         "versions": dict(manifest.versions),
         "code": manifest.code,
@@ -150,6 +159,7 @@ def _number(estimate: Mapping[str, float] | None, scale: float, digits: int) -> 
 def table(summary: Mapping[str, Any]) -> Table:
     """Return the summary as a table: one column per method and task, one line per quantity."""
     first, last = summary["seed"], summary["seed"] + summary["episodes"] - 1
+    origin = "frozen list" if summary["frozen"] else f"seeds {first}–{last}"
     caption = f"{summary['confidence']:.0%} intervals: Wilson for rates, bootstrap for means"
     if accuracy := summary["map"]:
         caption += (
@@ -157,7 +167,7 @@ def table(summary: Mapping[str, Any]) -> Table:
             f"{accuracy['outside_occupied']:.2%} of points 2–6 cm outside"
         )
     result = Table(
-        title=f"difficulty {summary['difficulty']}, seeds {first}–{last}",
+        title=f"difficulty {summary['difficulty']}, {origin}",
         caption=caption,
         title_justify="left",
         caption_justify="left",
@@ -180,6 +190,11 @@ def table(summary: Mapping[str, Any]) -> Table:
         ("path length, m", [_number(g["path_length"], 1.0, 2) for g in groups]),
         ("steps", [_number(g["steps"], 1.0, 0) for g in groups]),
         ("planning time, s", [_number(g["planning_time"], 1.0, 3) for g in groups]),
+    ]
+    halves = [half for half in HALVES if any(half in g["halves"] for g in groups)]
+    lines[2:2] = [
+        (f"  {half} half, %", [_percent(g["halves"].get(half, {}).get("success")) for g in groups])
+        for half in halves
     ]
     for name, cells in lines:
         result.add_row(name, *cells)

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 
+from smp_gym.frozen import load_episodes
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodePlayer, EpisodeRow, play
 from smp_planner.benchmark.store import EpisodeStore, Manifest, code_digest, versions
@@ -44,9 +45,17 @@ def available_cores() -> int:
 
 
 def make_manifest(
-    tasks: Sequence[str], methods: Sequence[str], difficulty: str, seed: int, episodes: int
+    tasks: Sequence[str],
+    methods: Sequence[str],
+    difficulty: str,
+    seed: int,
+    episodes: int,
+    *,
+    frozen: bool = False,
 ) -> Manifest:
     """Return the manifest of a run with the versions that are installed.
+
+    With `frozen` the episodes are the first ones of the frozen lists, and `seed` must be 0.
 
     Raises:
         ValueError: a name that does not exist or is given twice, or a number out of range; the
@@ -64,8 +73,14 @@ def make_manifest(
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed}")
+    if frozen:
+        if seed:
+            raise ValueError(f"frozen lists have seeds of their own: seed must be 0, got {seed}")
+        least = min(len(load_episodes(task, difficulty)) for task in tasks)
+        if episodes > least:
+            raise ValueError(f"the frozen lists hold {least} episodes, got episodes {episodes}")
     return Manifest(
-        tuple(tasks), tuple(methods), difficulty, seed, episodes, versions(), code_digest()
+        tuple(tasks), tuple(methods), difficulty, seed, episodes, versions(), code_digest(), frozen
     )
 
 

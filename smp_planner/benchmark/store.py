@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from smp_gym.frozen import load_episodes
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 
 __all__ = [
@@ -44,7 +45,7 @@ COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
 
 _PACKAGES = ("smp-gym", "gymnasium", "numba", "numpy", "pybullet", "scipy", "torch")
 _SOURCES = ("smp_gym", "smp_planner", "envs_assets")
-_SOURCE_SUFFIXES = (".py", ".json", ".npz", ".urdf", ".obj", ".safetensors")
+_SOURCE_SUFFIXES = (".py", ".json", ".npz", ".urdf", ".obj", ".safetensors", ".gz")
 
 
 class ResultsError(ValueError):
@@ -63,6 +64,8 @@ class Manifest:
         episodes: how many for each task and method; the only entry that may grow later.
         versions: of Python and of the packages that decide the rows.
         code: digest of the source and data files of this project.
+        frozen: whether the episodes are the first of the frozen lists, instead of being drawn from
+            seeds; `seed` is then 0.
     """
 
     tasks: tuple[str, ...]
@@ -72,15 +75,28 @@ class Manifest:
     episodes: int
     versions: Mapping[str, str]
     code: str
+    frozen: bool = False
+
+    def _names(self, task: str) -> list[tuple[int, str]]:
+        """Return seed and half of the episodes of a task."""
+        if self.frozen:
+            episodes = load_episodes(task, self.difficulty)[: self.episodes]
+            return [(episode.seed, episode.half) for episode in episodes]
+        return [(self.seed + k, "") for k in range(self.episodes)]
 
     def episode_keys(self) -> list[EpisodeKey]:
-        """Return all episodes, in the order in which they are played: seed by seed."""
+        """Return all episodes, in the order in which they are played: one of each in turn."""
+        names = [self._names(task) for task in self.tasks]
         return [
-            EpisodeKey(task, method, self.difficulty, self.seed + k)
-            for k in range(self.episodes)
-            for task in self.tasks
+            EpisodeKey(task, method, self.difficulty, *name)
+            for together in zip(*names, strict=True)
+            for task, name in zip(self.tasks, together, strict=True)
             for method in self.methods
         ]
+
+    def first_keys(self) -> list[EpisodeKey]:
+        """Return the first episode of each task and method."""
+        return self.episode_keys()[: len(self.tasks) * len(self.methods)]
 
 
 def versions() -> dict[str, str]:
@@ -173,7 +189,7 @@ def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
 
 def _differences(there: Manifest, here: Manifest) -> list[str]:
     lines = []
-    for name in ("tasks", "methods", "difficulty", "seed", "code"):
+    for name in ("tasks", "methods", "difficulty", "seed", "frozen", "code"):
         old, new = getattr(there, name), getattr(here, name)
         if old != new:
             lines.append(f"{name}: {old!r} there, {new!r} now")
