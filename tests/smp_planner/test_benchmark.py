@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy import stats
 from typer.testing import CliRunner
 
+from smp_gym.frozen import load_episodes
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
@@ -50,6 +52,7 @@ def fake_play(key: EpisodeKey) -> EpisodeRow:
         path_length=1.0 + float(draw.random()),
         clearance=0.02,
         steps=int(draw.integers(100, 400)),
+        half=key.half,
         share_collision_free=float(draw.random()),
         planning_time=time.perf_counter() % 1.0,
         episode_time=0.1,
@@ -114,6 +117,33 @@ def test_manifest_records_what_decides_the_rows() -> None:
 def test_unknown_names_list_what_exists(arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         runner.make_manifest(*arguments)
+
+
+def test_frozen_lists_are_asked_for_by_seed_and_half() -> None:
+    made = runner.make_manifest(["Placement"], ["smp", "promp"], "hard", 0, 5, frozen=True)
+    keys = made.episode_keys()
+    listed = [(e.seed, e.half) for e in load_episodes("Placement", "hard")[:5]]
+    for method in ("smp", "promp"):
+        assert [(k.seed, k.half) for k in keys if k.method == method] == listed
+    assert [(k.method, k.seed, k.half) for k in made.first_keys()] == [
+        ("smp", *listed[0]),
+        ("promp", *listed[0]),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("difficulty", "seed", "episodes", "message"),
+    [
+        ("none", 0, 1, "no frozen list.*'none'; there are: .*Placement easy"),
+        ("easy", 3, 1, "seed must be 0, got 3"),
+        ("easy", 0, 201, "hold 200 episodes, got episodes 201"),
+    ],
+)
+def test_frozen_lists_that_do_not_exist_are_refused(
+    difficulty: str, seed: int, episodes: int, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        runner.make_manifest(["Placement"], ["smp"], difficulty, seed, episodes, frozen=True)
 
 
 # What is stored
@@ -282,6 +312,7 @@ import sys
 sys.path[:0] = {paths!r}
 from pathlib import Path
 
+from smp_gym.frozen import load_episodes
 from smp_planner.benchmark import runner
 from test_benchmark import manifest, slow_play
 
@@ -369,6 +400,26 @@ def test_table_shows_every_group() -> None:
     rows = [fake_play(key) for key in manifest(5).episode_keys()]
     shown = table(summarise(manifest(5), rows))
     assert len(shown.columns) == 3
+
+
+def test_halves_of_a_frozen_list_are_summarised_apart(tmp_path: Path) -> None:
+    made = manifest(20, frozen=True)
+    rows = [fake_play(key) for key in made.episode_keys()]
+    summary = json.loads(json.dumps(summarise(made, rows), allow_nan=False))
+    for group in summary["groups"]:
+        assert list(group["halves"]) == ["witness", "certified"]
+        for half, part in group["halves"].items():
+            of_half = [r for r in rows if (r.method, r.half) == (group["method"], half)]
+            assert part["episodes"] == len(of_half) == 10
+            assert part["success"]["value"] == sum(row.success for row in of_half) / 10
+    console = Console(width=100)
+    with console.capture() as shown:
+        console.print(table(summary))
+    for text in ("frozen list", "witness half", "certified half"):
+        assert text in shown.get()
+    assert {row["half"] for row in without_times(tmp_path, rows)} == {"witness", "certified"}
+    drawn = [fake_play(key) for key in manifest(2).episode_keys()]
+    assert all(g["halves"] == {} for g in summarise(manifest(2), drawn)["groups"])
 
 
 # What is typed

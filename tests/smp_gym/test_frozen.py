@@ -1,0 +1,281 @@
+"""Frozen lists: what is in them, and the wrapper that plays them in order."""
+
+import gzip
+import json
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from smp_gym import frozen
+from smp_gym.frozen import (
+    HALVES,
+    FrozenEpisode,
+    FrozenEpisodes,
+    frozen_lists,
+    load_episodes,
+    read_header,
+    write_episodes,
+)
+from smp_gym.observation import MAX_EPISODE_STEPS, decode
+from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene
+
+PLACEMENT = "smp_gym/Placement-v0"
+LISTS = frozen_lists()
+STEPS = 3
+
+
+def test_placement_has_its_lists():
+    assert {("Placement", difficulty) for difficulty in ("easy", "medium", "hard")} <= set(LISTS)
+
+
+@pytest.mark.parametrize("names", LISTS, ids=" ".join)
+def test_a_list_holds_what_its_header_says(names):
+    episodes, header = load_episodes(*names), read_header(*names)
+    assert len(episodes) == header["episodes"] == 200
+    assert (header["task"], header["difficulty"]) == names
+    assert set(header["versions"]) >= {"numpy", "pybullet", "python"}
+    assert [episode.half for episode in episodes] == list(HALVES) * 100
+    assert len({(episode.half, episode.seed) for episode in episodes}) == 200
+    assert len({episode.scene.to_json() for episode in episodes}) == 200
+    for episode in episodes:
+        scene = episode.scene
+        assert (scene.task, scene.difficulty) == names
+        assert len(scene.obstacles) == SPECIFICATIONS[names[1]].obstacles
+        assert scene.seed == (episode.seed if episode.half == "witness" else None)
+        assert episode.seed >= EVALUATION_SEEDS_START
+
+
+@pytest.mark.parametrize("names", LISTS, ids=" ".join)
+def test_the_witness_half_is_what_the_seeds_give(names):
+    """Other machines may differ in the last bits: what is played is what is stored."""
+    half = [episode for episode in load_episodes(*names) if episode.half == "witness"]
+    assert [e.seed for e in half] == list(range(EVALUATION_SEEDS_START, 100 + half[0].seed))
+    for episode in half[:5]:
+        drawn = sample_scene(*names, episode.seed)
+        for stored, again in zip(episode.scene.obstacles, drawn.obstacles, strict=True):
+            assert stored.shape == again.shape
+            np.testing.assert_allclose(stored.position, again.position, atol=1e-9)
+
+
+def test_lists_that_do_not_exist_are_refused():
+    with pytest.raises(ValueError, match=r"'none'; there are: .*Placement easy"):
+        load_episodes("Placement", "none")
+    with pytest.raises(ValueError, match="Juggling"):
+        read_header("Juggling", "easy")
+
+
+# Files
+
+
+def small(count=6):
+    return tuple(
+        FrozenEpisode(HALVES[i % 2], 7 + i // 2, sample_scene("Placement", "none", i))
+        for i in range(count)
+    )
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(frozen, "asset_path", lambda *parts: tmp_path.joinpath(*parts[1:]))
+    load_episodes.cache_clear()
+    yield tmp_path
+    load_episodes.cache_clear()
+
+
+def test_lists_survive_the_disk(folder):
+    path = folder / "Placement_none.jsonl.gz"
+    write_episodes(path, {"made": "here"}, small())
+    before = path.read_bytes()
+    write_episodes(path, {"made": "here"}, small())
+    assert path.read_bytes() == before
+    assert load_episodes("Placement", "none") == small()
+    assert read_header("Placement", "none")["made"] == "here"
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda lines: lines[:-1], "6 episodes announced, 5 there"),
+        (lambda lines: [lines[0].replace("smp_gym", "gym"), *lines[1:]], "format must be"),
+        (lambda lines: [lines[0], lines[1].replace("bin", "bun"), *lines[2:]], "line 2"),
+        (lambda lines: [*lines[:-1], lines[-1].replace("certified", "good")], "line 7.*witness"),
+        (lambda lines: [*lines[:-1], lines[-1].replace("none", "easy")], "line 7.*Placement, easy"),
+        (lambda _: ["[]"], "not a list of episodes"),
+    ],
+)
+def test_damaged_lists_are_refused(folder, damage, message):
+    path = folder / "Placement_none.jsonl.gz"
+    write_episodes(path, {}, small())
+    lines = damage(gzip.decompress(path.read_bytes()).decode().splitlines())
+    path.write_bytes(gzip.compress("\n".join(lines).encode()))
+    with pytest.raises(ValueError, match=message):
+        load_episodes("Placement", "none")
+
+
+def test_a_file_that_is_no_archive_is_refused(folder):
+    (folder / "Placement_none.jsonl.gz").write_text(json.dumps({}))
+    with pytest.raises(ValueError, match="not a list of episodes"):
+        load_episodes("Placement", "none")
+
+
+# The wrapper
+
+
+def make(episodes, **arguments):
+    env = gymnasium.make(PLACEMENT, max_episode_steps=STEPS)
+    return FrozenEpisodes(env, episodes, **arguments)
+
+
+def play(env):
+    """Play one episode and return its index in the list."""
+    _, info = env.reset()
+    index = info["frozen_episode"]
+    over = False
+    while not over:
+        _, _, terminated, truncated, info = env.step(np.zeros(7, np.float32))
+        over = terminated or truncated
+        assert info["frozen_episode"] == index
+    return index
+
+
+def test_episodes_are_played_in_order_and_from_the_list():
+    episodes = small(3)
+    env = make(episodes)
+    for index in (0, 1, 2, 0, 1):
+        assert play(env) == index
+        assert env.unwrapped.scene == episodes[index].scene
+    _, info = env.reset()
+    assert (info["frozen_episode"], info["half"]) == (2, HALVES[0])
+    env.close()
+
+
+def test_a_reset_within_an_episode_begins_the_list_anew():
+    env = make(small(4), start=1)
+    assert play(env) == 1
+    assert play(env) == 2
+    env.reset()
+    env.step(np.zeros(7, np.float32))
+    assert env.reset()[1]["frozen_episode"] == 1
+    assert env.reset()[1]["frozen_episode"] == 1
+    assert env.reset(options={"episode": 3})[1]["frozen_episode"] == 3
+    env.close()
+
+
+def test_a_seed_chooses_no_episode_but_seeds_the_generator():
+    env = make(small(2))
+    env.reset(seed=5)
+    assert env.reset(seed=5)[1]["frozen_episode"] == 0
+    expected = np.random.default_rng(5).random()
+    assert env.unwrapped.np_random.random() == expected
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"episodes": ()}, "at least one"),
+        ({"start": 6}, "start must be from 0 to 5, got 6"),
+        ({"start": -1}, "start"),
+        ({"stride": 0}, "stride must be at least 1, got 0"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    env = gymnasium.make(PLACEMENT)
+    with pytest.raises(ValueError, match=message):
+        FrozenEpisodes(env, **{"episodes": small(), **arguments})
+    env.close()
+
+
+def test_bad_options():
+    env = make(small(2))
+    for options, message in (
+        ({"episode": 2}, "from 0 to 1, got 2"),
+        ({"episode": "1"}, "from 0 to 1"),
+        ({"scene": "…"}, "'episode' only"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.reset(options=options)
+    env.reset()
+    env.close()
+
+
+class Still:
+    """A policy that stays where it is and keeps the scenes that it meets."""
+
+    def __init__(self):
+        self.met = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        rows = len(observation["observation"])
+        for i in range(rows):
+            decoded = decode({k: v[i] for k, v in observation.items()}, "Placement")
+            if decoded.elapsed_steps == 0:
+                self.met.append(decoded.scene.goals[0].position)
+        return np.zeros((rows, 7), np.float32), None
+
+
+def counted(model, env, count):
+    """Return the episodes that `evaluate_policy` counts, by the list's index."""
+    found = []
+
+    def keep(variables, _):
+        if variables["done"]:
+            i, counts = variables["i"], variables["episode_counts"]
+            if counts[i] < variables["episode_count_targets"][i]:
+                found.append(variables["info"]["frozen_episode"])
+
+    evaluate_policy(model, env, n_eval_episodes=count, callback=keep, warn=False)
+    return found
+
+
+@pytest.mark.parametrize(("environments", "episodes"), [(1, 4), (2, 6), (3, 5), (4, 6)])
+def test_evaluate_policy_plays_each_episode_once_every_time(environments, episodes):
+    n = environments
+    makers = [
+        partial(make, small(episodes), start=n - 1 - i, stride=n) for i in range(environments)
+    ]
+    env = DummyVecEnv(makers)
+    for _ in range(2):
+        assert sorted(counted(Still(), env, episodes)) == list(range(episodes))
+    env.close()
+
+
+def test_an_evaluation_callback_plays_the_same_episodes_each_time(tmp_path):
+    from stable_baselines3 import SAC
+
+    env = gymnasium.make(PLACEMENT, difficulty="none")
+    model = SAC("MultiInputPolicy", env, learning_starts=1000, seed=0)
+    evaluated = DummyVecEnv([partial(make, small(3))])
+    seen = []
+    evaluated.env_method("reset")
+    callback = EvalCallback(evaluated, n_eval_episodes=3, eval_freq=5, verbose=0, warn=False)
+    original = FrozenEpisodes.reset
+
+    def spy(self, **arguments):
+        result = original(self, **arguments)
+        seen.append(result[1]["frozen_episode"])
+        return result
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FrozenEpisodes, "reset", spy)
+        model.learn(10, callback=callback)
+    # stable-baselines3 resets once more after the last episode.
+    assert seen == [0, 1, 2, 0, 0, 1, 2, 0]
+    env.close()
+    evaluated.close()
+
+
+def test_time_that_runs_out_ends_an_episode():
+    env = FrozenEpisodes(gymnasium.make(PLACEMENT), small(2))
+    env.reset()
+    for _ in range(MAX_EPISODE_STEPS):
+        truncated = env.step(np.zeros(7, np.float32))[3]
+    assert truncated
+    assert env.reset()[1]["frozen_episode"] == 1
+    env.close()

@@ -1,0 +1,73 @@
+"""Scenes placed without a witness: what they block, and what they leave clear."""
+
+import numpy as np
+import pytest
+
+from smp_gym import kinematics, scene_sampling
+from smp_gym.env import ManipulationEnv
+from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene
+from smp_gym.unwitnessed_sampling import place_without_witness
+
+CROWDED = ("easy", "medium", "hard")
+
+
+@pytest.mark.parametrize("difficulty", CROWDED)
+def test_a_scene_is_a_function_of_its_seed(difficulty):
+    scenes = [place_without_witness("Placement", difficulty, seed) for seed in (3, 4, 3)]
+    assert scenes[0] == scenes[2]
+    assert scenes[0] != scenes[1]
+    assert scenes[0] != sample_scene("Placement", difficulty, 3)
+    for scene in scenes:
+        assert len(scene.obstacles) == SPECIFICATIONS[difficulty].obstacles
+        assert (scene.difficulty, scene.seed) == (difficulty, None)
+
+
+def distances(points, obstacle):
+    """Return signed distances of points (..., 3) to an upright obstacle."""
+    _, _, z, w = obstacle.quaternion
+    yaw = 2 * np.arctan2(z, w)
+    offset = points - np.array(obstacle.position)
+    turned = np.stack(
+        [
+            np.cos(yaw) * offset[..., 0] + np.sin(yaw) * offset[..., 1],
+            np.cos(yaw) * offset[..., 1] - np.sin(yaw) * offset[..., 0],
+            offset[..., 2],
+        ],
+        axis=-1,
+    )
+    size = np.array(obstacle.size)
+    if obstacle.shape == "sphere":
+        return np.linalg.norm(turned, axis=-1) - size[0]
+    if obstacle.shape == "cylinder":
+        flat = np.linalg.norm(turned[..., :2], axis=-1)
+        beyond = np.stack([flat, np.abs(turned[..., 2])], axis=-1) - size[[0, 2]]
+    else:
+        beyond = np.abs(turned) - size
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+    return outside + np.minimum(beyond.max(axis=-1), 0.0)
+
+
+@pytest.mark.parametrize("difficulty", CROWDED)
+def test_the_mean_is_blocked_and_its_ends_are_free(difficulty):
+    data = scene_sampling._placement()
+    for seed in range(5):
+        scene = place_without_witness("Placement", difficulty, seed)
+        end = scene_sampling._release_configuration(data, scene.goals[0])
+        mean = scene_sampling._carry(data, end, 200).mean(axis=0)
+        centers = kinematics.sphere_centers(mean, data.spheres)
+        gaps = np.min([distances(centers, o) for o in scene.obstacles], axis=0)
+        gaps = (gaps - data.spheres.radius).min(axis=1)
+        assert gaps.min() < -0.015
+        assert gaps[[0, -1]].min() > 0.049
+        env = ManipulationEnv()
+        env.reset(options={"scene": scene})
+        env.close()
+
+
+def test_bad_arguments_list_what_exists():
+    with pytest.raises(ValueError, match="Placement"):
+        place_without_witness("Juggling", "easy", 0)
+    with pytest.raises(ValueError, match="easy, medium, hard; got 'none'"):
+        place_without_witness("Placement", "none", 0)
+    with pytest.raises(ValueError, match="-1"):
+        place_without_witness("Placement", "easy", -1)
