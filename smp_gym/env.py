@@ -14,6 +14,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from smp_gym.end_effector_control import joint_action
 from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.jaco import ACTION_SIZE
 from smp_gym.observation import (
@@ -49,8 +50,10 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     """A manipulation task among obstacles, drawn anew in each episode.
 
     **Actions** are `Box(-1, 1, (7,))`: six joint velocities as fractions of the joints' limits
-    (`smp_gym.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. An action with an
-    entry that is not finite or further than 1e-6 outside the box is an error.
+    (`smp_gym.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. With ``control``
+    "end_effector" the first six are instead linear and angular velocity of the end effector in the
+    base frame, as fractions of 0.15 m/s and 0.5 rad/s (see `smp_gym.end_effector_control`). An
+    action with an entry that is not finite or further than 1e-6 outside the box is an error.
 
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
 
@@ -82,6 +85,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         width: of pictures, pixels.
         height: of pictures, pixels.
         camera: entries of `smp_gym.world.Camera` that shall differ from the default.
+        control: "joint_velocity" or "end_effector", what actions mean. Planner policies act in
+            joint velocities, and cannot see from an observation that they are not understood.
 
     Raises:
         ValueError: an argument is not one of those allowed.
@@ -102,17 +107,22 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         width: int = 480,
         height: int = 360,
         camera: Mapping[str, Any] | None = None,
+        control: Literal["joint_velocity", "end_effector"] = "joint_velocity",
     ) -> None:
-        EzPickle.__init__(self, task, difficulty, reward, render_mode, width, height, camera)
+        EzPickle.__init__(
+            self, task, difficulty, reward, render_mode, width, height, camera, control
+        )
         self.task = make_task(task)
         _check_choice("difficulty", difficulty, DIFFICULTIES)
         _check_choice("reward", reward, ("sparse", "dense"))
+        _check_choice("control", control, ("joint_velocity", "end_effector"))
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         for name, value in (("width", width), ("height", height)):
             if not (isinstance(value, int) and value > 0):
                 raise ValueError(f"{name} must be a positive number of pixels, got {value!r}")
         self.difficulty = difficulty
         self.reward = reward
+        self.control = control
         self.render_mode = render_mode
         self._width, self._height = width, height
         self._camera = _make_camera(camera)
@@ -171,6 +181,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         checked = _checked_action(action)
         _ = self.scene
+        if self.control == "end_effector":
+            checked = joint_action(checked, self._cell.arm.reference)
         previous = self._achieved
         observation = self._advance(checked)
         info = self._info()

@@ -50,6 +50,10 @@ class Execution:
 class PlannerPolicy:
     """A planner that acts.
 
+    Its actions are joint velocities. An environment made with ``control="end_effector"`` takes
+    actions of the same shape for something else, and nothing in an observation says so: the policy
+    is only for environments of the default control mode.
+
     Args:
         planner: what plans; made by `smp_planner.planners.make_planner`.
         seed: from which, together with an episode's first observation, all randomness is drawn.

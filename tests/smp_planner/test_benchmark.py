@@ -439,6 +439,8 @@ def test_list_names_what_exists() -> None:
         (["--methods", "smp,spm"], "there are: smp, promp"),
         (["--difficulty", "huge"], "there are: none, easy, medium, hard"),
         (["--episodes", "0"], "--episodes"),
+        (["--frozen", "--seed", "7"], "seed must be 0, got 7"),
+        (["--frozen", "--difficulty", "none"], "no frozen list"),
         (["--jobs", "0"], "--jobs"),
     ],
 )

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.frozen import load_episodes
 from smp_gym.scene_sampling import sample_scene
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, Rollout, environment_id, roll_out
@@ -49,6 +50,20 @@ def test_methods_meet_the_scene_of_the_seed(rollouts: dict[str, Rollout]) -> Non
         for met, drawn in zip(rollout.scene.obstacles, scene.obstacles, strict=True):
             np.testing.assert_allclose(met.position, drawn.position, atol=1e-6)
             np.testing.assert_allclose(met.size, drawn.size, atol=1e-6)
+
+
+def test_an_episode_of_a_frozen_list_is_the_stored_one(env: gym.Env[Any, Any]) -> None:
+    episode = load_episodes("Placement", "hard")[1]
+    key = EpisodeKey("Placement", "promp", "hard", episode.seed, episode.half)
+    rollout = roll_out(key, env, PlannerPolicy.make("promp", "Placement"))
+    assert rollout.row.key == key
+    assert rollout.row.half == "certified"
+    assert len(rollout.scene.obstacles) == 6
+    for met, stored in zip(rollout.scene.obstacles, episode.scene.obstacles, strict=True):
+        np.testing.assert_allclose(met.position, stored.position, atol=1e-6)
+    unknown = EpisodeKey("Placement", "promp", "hard", 5, "witness")
+    with pytest.raises(ValueError, match="seed=5"):
+        roll_out(unknown, env, PlannerPolicy.make("promp", "Placement"))
 
 
 def test_rows_say_what_the_plan_says(rollouts: dict[str, Rollout]) -> None:
