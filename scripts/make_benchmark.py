@@ -7,6 +7,7 @@ with success in the physics.
 
 from __future__ import annotations
 
+import multiprocessing
 import platform
 from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
@@ -21,9 +22,12 @@ from rich.console import Console
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.frozen import FrozenEpisode, write_episodes
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS, Scene
-from smp_gym.scene_sampling import sample_scene
+from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene
 from smp_gym.unwitnessed_sampling import place_without_witness
 from smp_planner.policy import PlannerPolicy
+
+CROWDED = tuple(name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles)
+"""Difficulties with obstacles: without, there is nothing to place."""
 
 METHOD = "rrt_connect"
 ATTEMPTS = 3
@@ -95,7 +99,7 @@ def main(
     """Make lists and write them to OUT."""
     console = Console()
     chosen_tasks, chosen = tasks.split(","), difficulties.split(",")
-    for kind, names, known in (("task", chosen_tasks, TASKS), ("difficulty", chosen, DIFFICULTIES)):
+    for kind, names, known in (("task", chosen_tasks, TASKS), ("difficulty", chosen, CROWDED)):
         for name in names:
             if name not in known:
                 raise typer.BadParameter(f"{kind} must be one of {', '.join(known)}; got {name!r}")
@@ -104,7 +108,8 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     half = episodes // 2
     versions = {name: metadata.version(name) for name in _PACKAGES}
-    with ProcessPoolExecutor(jobs) as pool:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
         for task in chosen_tasks:
             for difficulty in chosen:
                 first = range(EVALUATION_SEEDS_START, EVALUATION_SEEDS_START + half)
