@@ -37,8 +37,8 @@ def joint_action(action: FloatArray, reference: FloatArray) -> FloatArray:
     """Return the joint velocity action that moves the end effector as wanted for one step.
 
     Damped least squares (Wampler 1986) on the reference, not on the measured joint angles, so that
-    the arm does not sag step by step. Joints at a limit are left out of the solution. Where a joint would have to be
-    faster than it can, the whole motion is slowed down, its direction kept.
+    the arm does not sag step by step. Joints at a limit are left out of the solution. Where a joint
+    would have to be faster than it can, the whole motion is slowed down, its direction kept.
 
     Args:
         action: (7,) linear velocity as fractions of `LINEAR_SPEED`, angular velocity as fractions
