@@ -22,34 +22,86 @@ from scipy.spatial.transform import Rotation
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
-from smp_gym.observation import CONTROL_PERIOD, decode
-from smp_gym.scene import Goal, ManipulatedObject, Scene
-from smp_gym.tasks.placement import (
-    HELD_OBJECT_POSE,
-    NOMINAL_BIN,
-    RELEASE_HEIGHT,
-    RELEASE_TILT,
-    START_CONFIGURATION,
+from smp_gym.kinematics import (
+    GRASP_CENTER,
+    JOINT_VELOCITY,
+    end_effector_pose,
+    inverse_kinematics,
 )
+from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.scene import Configuration, Goal, ManipulatedObject, Scene
+from smp_gym.tasks import double_sided_placement, placement
 
-TASK = "Placement"
-COUNT = 7
 SEED = 0
 
 DURATION = (10.5, 13.0)
-"""Seconds from the start to the release."""
+"""Seconds from the start of Placement to the release."""
 
 SPEED_LIMIT = 0.9
 """Share of the joint velocity limits that a demonstrator uses at most."""
-
-LIFT = (0.04, 0.14)
-"""Metres by which the middle of the way lies above the straight line from start to release."""
 
 RELEASE_STEPS = 60
 """Environment steps that the object is given to come to rest."""
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Script:
+    """What the demonstrator does in a task.
+
+    Attributes:
+        task: its name.
+        start: (6,) rad.
+        goals: of the scene.
+        ways: index of the goal that each demonstration goes to.
+        release_height: m, of the object's centre above the goal when it is let go.
+        tilt: rad, of the hand below the horizontal then.
+        duration: s, range of the time from the start to the release.
+        lift: m, range of the height of the way's middle above the straight line.
+    """
+
+    task: str
+    start: Configuration
+    goals: tuple[Goal, ...]
+    ways: tuple[int, ...]
+    release_height: float
+    tilt: float
+    duration: tuple[float, float]
+    lift: tuple[float, float]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene in which all demonstrations are given."""
+        return Scene(
+            task=self.task,
+            start=self.start,
+            manipulated=ManipulatedObject(),
+            goals=self.goals,
+        )
+
+
+PLACEMENT = Script(
+    task="Placement",
+    start=placement.START_CONFIGURATION,
+    goals=(Goal(position=placement.NOMINAL_BIN),),
+    ways=(0,) * 7,
+    release_height=placement.RELEASE_HEIGHT,
+    tilt=placement.RELEASE_TILT,
+    duration=DURATION,
+    lift=(0.04, 0.14),
+)
+DOUBLE_SIDED_PLACEMENT = Script(
+    task="DoubleSidedPlacement",
+    start=double_sided_placement.START_CONFIGURATION,
+    goals=tuple(Goal(kind="pad", position=p) for p in double_sided_placement.NOMINAL_PADS),
+    ways=(0,) * 7 + (1,) * 7,
+    release_height=ManipulatedObject().size[2] + double_sided_placement.RELEASE_GAP,
+    tilt=double_sided_placement.TILT,
+    duration=(8.0, 10.0),
+    lift=(0.03, 0.11),
+)
+SCRIPTS = {script.task: script for script in (PLACEMENT, DOUBLE_SIDED_PLACEMENT)}
 
 
 @dataclass(frozen=True)
@@ -71,32 +123,39 @@ def hand_rotation(yaw: float, tilt: float) -> Rotation:
 def hold(center: FloatArray, rotation: Rotation, near: FloatArray) -> FloatArray:
     """Return the (6,) configuration with the held object's centre at `center`."""
     matrix = rotation.as_matrix()
-    wrist = center - matrix @ HELD_OBJECT_POSE[:3, 3]
+    wrist = center - matrix @ np.asarray(GRASP_CENTER)
     return inverse_kinematics(wrist, matrix, seed=near)
 
 
-def scripted_movement(rng: np.random.Generator) -> FloatArray:
-    """Return one way of carrying the object from the start over the bin, (200, 6) rad.
+def held_height(movement: FloatArray) -> float:
+    """Return the greatest height, m, of the held object's centre on the way."""
+    pose = end_effector_pose(movement)
+    return float((pose[:, 2, :3] @ np.asarray(GRASP_CENTER) + pose[:, 2, 3]).max())
+
+
+def scripted_movement(
+    rng: np.random.Generator, script: Script = PLACEMENT, way: int = 0
+) -> FloatArray:
+    """Return one way of carrying the object from the start over goal `way`, (200, 6) rad.
 
     The joints follow the minimum-jerk curve (a quintic spline, at rest at both ends) through two
     configurations between start and release.
     """
-    start = np.asarray(START_CONFIGURATION, np.float64)
+    start = np.asarray(script.start, np.float64)
     pose = end_effector_pose(start)
-    first = pose @ HELD_OBJECT_POSE
     turn = Rotation.from_matrix(pose[:3, :3])
-    origin = first[:3, 3]
-    above = np.array([0.0, 0.0, RELEASE_HEIGHT + rng.uniform(-0.004, 0.012)])
-    release = np.asarray(NOMINAL_BIN) + above
+    origin = pose[:3, :3] @ np.asarray(GRASP_CENTER) + pose[:3, 3]
+    above = np.array([0.0, 0.0, script.release_height + rng.uniform(-0.004, 0.012)])
+    release = np.asarray(script.goals[way].position) + above
     release[:2] += rng.normal(0.0, 0.006, 2)
     last_turn = hand_rotation(
         np.arctan2(release[1], release[0]) + rng.normal(0.0, 0.04),
-        RELEASE_TILT + rng.normal(0.0, 0.03),
+        script.tilt + rng.normal(0.0, 0.03),
     )
     between = (turn.inv() * last_turn).as_rotvec()
     radius = np.hypot(origin[0], origin[1]), np.hypot(release[0], release[1])
     angle = np.arctan2(origin[1], origin[0]), np.arctan2(release[1], release[0])
-    lift, reach, skew = rng.uniform(*LIFT), rng.normal(0.0, 0.025), rng.normal(0.0, 0.03)
+    lift, reach, skew = rng.uniform(*script.lift), rng.normal(0.0, 0.025), rng.normal(0.0, 0.03)
 
     phases, ways = [0.0], [start]
     for phase in (1 / 3, 2 / 3):
@@ -122,7 +181,7 @@ def execute(env: gymnasium.Env, scene: Scene, movement: FloatArray, duration: fl
     observation, info = env.reset(options={"scene": scene})
     steps = round(duration / CONTROL_PERIOD)
     targets = resample(movement, steps + 1)[1:]
-    state = decode(observation, TASK).robot
+    state = decode(observation, scene.task).robot
     fingers, measured = state.finger_angles, [state.configuration]
     for target in (*targets, *np.repeat(targets[-1:], RELEASE_STEPS, axis=0)):
         action = np.zeros(7, np.float32)
@@ -130,39 +189,38 @@ def execute(env: gymnasium.Env, scene: Scene, movement: FloatArray, duration: fl
         action[:6] = np.clip(rate, -1.0, 1.0)
         action[6] = -1.0 if len(measured) > steps else 0.0
         observation, _, terminated, truncated, info = env.step(action)
-        state = decode(observation, TASK).robot
+        state = decode(observation, scene.task).robot
         measured.append(state.configuration)
         if terminated or truncated:
             break
     return Recording(np.array(measured[: steps + 1]), fingers, info)
 
 
-def record(console: Console) -> Demonstrations:
-    """Draw, execute and record all demonstrations.
+def record(script: Script, console: Console) -> Demonstrations:
+    """Draw, execute and record all demonstrations of a task.
 
     Raises:
         RuntimeError: one of them did not succeed.
     """
     rng = np.random.default_rng(SEED)
-    scene = Scene(
-        task=TASK,
-        start=START_CONFIGURATION,
-        manipulated=ManipulatedObject(),
-        goals=(Goal(position=NOMINAL_BIN),),
-    )
-    env = gymnasium.make("smp_gym/Placement-v0")
+    scene, count = script.scene, len(script.ways)
+    env = gymnasium.make(f"smp_gym/{script.task}-v0")
     table = Table("demonstration", "duration, s", "highest, m", "speed, % of limit", "outcome")
     trajectories, durations, fingers = [], [], []
-    for number in range(COUNT):
-        movement, duration = scripted_movement(rng), rng.uniform(*DURATION)
+    for number, way in enumerate(script.ways):
+        movement = scripted_movement(rng, script, way)
+        duration = rng.uniform(*script.duration)
         duration = round(duration / CONTROL_PERIOD) * CONTROL_PERIOD
         speed = np.abs(np.diff(movement, axis=0)).max(axis=0) * (len(movement) - 1) / duration
         recording = execute(env, scene, movement, duration)
         outcome = "success" if recording.info["is_success"] else recording.info["failure"]
-        highest = (end_effector_pose(movement) @ HELD_OBJECT_POSE)[:, 2, 3].max()
         share = float((speed / JOINT_VELOCITY).max())
         table.add_row(
-            str(number + 1), f"{duration:.2f}", f"{highest:.3f}", f"{100 * share:.0f}", outcome
+            str(number + 1),
+            f"{duration:.2f}",
+            f"{held_height(movement):.3f}",
+            f"{100 * share:.0f}",
+            outcome,
         )
         if outcome != "success" or share > SPEED_LIMIT:
             console.print(table)
@@ -172,14 +230,14 @@ def record(console: Console) -> Demonstrations:
         fingers.append(recording.finger_angles)
     env.close()
     console.print(table)
-    gripper = np.ones((COUNT, DEMONSTRATION_SAMPLES))
+    gripper = np.ones((count, DEMONSTRATION_SAMPLES))
     gripper[:, -1] = 0.0
     return Demonstrations(
-        task=TASK,
+        task=script.task,
         configurations=np.array(trajectories),
         gripper=gripper,
         durations=np.array(durations),
-        scenes=(scene,) * COUNT,
+        scenes=(scene,) * count,
         metadata={
             "recorded_by": "scripts/record_demonstrations.py",
             "seed": SEED,
@@ -189,14 +247,19 @@ def record(console: Console) -> Demonstrations:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="File to write.")] = Path(
-        "envs_assets/demonstrations/Placement.npz"
-    ),
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File to write; default envs_assets/demonstrations/TASK.npz."),
+    ] = None,
+    task: Annotated[str, typer.Option(help=f"One of {', '.join(SCRIPTS)}.")] = PLACEMENT.task,
 ) -> None:
-    """Record the demonstrations of Placement; refuse to write unless all of them succeed."""
+    """Record the demonstrations of a task; refuse to write unless all of them succeed."""
+    if task not in SCRIPTS:
+        raise typer.BadParameter(f"task must be one of {', '.join(SCRIPTS)}; got {task!r}")
+    out = out or Path("envs_assets/demonstrations") / f"{task}.npz"
     console = Console()
     try:
-        demonstrations = record(console)
+        demonstrations = record(SCRIPTS[task], console)
     except RuntimeError as error:
         console.print(f"nothing written: {error}")
         raise typer.Exit(1) from error

@@ -58,7 +58,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
 
     **Rewards**: -1 a step, 0 at success, -100 at a collision or when the task is lost for good
-    (Placement: the object rests, let go, outside the bin); all three end the episode. "dense" adds
+    (placing: the object rests, let go, where it should not); all three end the episode. "dense" adds
     the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential being
     0 once the episode has ended.
 
@@ -73,9 +73,10 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     **Info**, in every step: ``is_success``; ``collided``; ``collision``, the names of the two
     parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle,
     m, at most 0.05; ``failure``, "" or why the episode has failed: "collision", the task's own
-    cause (Placement: "dropped", onto the table), "misplaced" (lost otherwise), or "timeout";
-    ``seed`` (None for a scene that was handed in without one); ``difficulty``; with the dense
-    reward also ``previous_achieved_goal``.
+    cause (of placing: "dropped", onto the table), "misplaced" (lost otherwise), or "timeout";
+    ``seed`` (None for a scene that was handed in without one); ``difficulty``;
+    DoubleSidedPlacement: ``side``, "left" or "right" where the object was placed, otherwise "";
+    with the dense reward also ``previous_achieved_goal``.
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
@@ -306,7 +307,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._failure = ""
         self._succeeded = self._over = False
         observation = self._observe()
-        self._achieved = observation["achieved_goal"]
+        self._achieved, self._desired = observation["achieved_goal"], observation["desired_goal"]
         return observation
 
     def _advance(self, action: NDArray[np.float64]) -> Observation:
@@ -354,6 +355,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             "failure": self._failure,
             "seed": self.scene.seed,
             "difficulty": self.scene.difficulty,
+            **self.task.details(self._achieved, self._desired),
         }
 
 

@@ -91,6 +91,13 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
         Field("released", 1, 0.0, 1.0),
         Field("at_rest", 1, 0.0, 1.0),
     ),
+    "DoubleSidedPlacement": (
+        Field("object_position_left", 3, -5.0, 5.0),
+        Field("object_position_right", 3, -5.0, 5.0),
+        Field("collided", 1, 0.0, 1.0),
+        Field("released", 1, 0.0, 1.0),
+        Field("at_rest", 1, 0.0, 1.0),
+    ),
 }
 """``achieved_goal`` and ``desired_goal`` of each task; a flag of 1 in the latter is demanded."""
 
@@ -200,12 +207,17 @@ def observation_space(task: str) -> spaces.Dict:
     )
 
 
-def _place_demanded(scene: Scene) -> dict[str, Any]:
-    """Return the desired goal of a task that sets an object down: where its centre shall rest."""
+def _place(scene: Scene, index: int) -> tuple[float, float, float]:
+    """Return where the object's centre shall rest to reach goal `index`."""
     if scene.manipulated is None:
         raise ValueError(f"a scene of {scene.task} needs a manipulated object, got None")
-    x, y, z = scene.goals[0].position
-    position = (x, y, z + scene.manipulated.size[2])
+    x, y, z = scene.goals[index].position
+    return (x, y, z + scene.manipulated.size[2])
+
+
+def _place_demanded(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal of a task that sets an object down: where its centre shall rest."""
+    position = _place(scene, 0)
     return {"object_position": position, "collided": 0.0, "released": 1.0, "at_rest": 1.0}
 
 
@@ -215,8 +227,28 @@ def _place_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]:
     return (Goal(position=(x, y, z - float(size[2]))),)
 
 
-_DEMANDED = {"Placement": _place_demanded}
-_GOALS = {"Placement": _place_goals}
+def _double_sided_demanded(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal of a task that sets an object down on either of two pads."""
+    return {
+        "object_position_left": _place(scene, 0),
+        "object_position_right": _place(scene, 1),
+        "collided": 0.0,
+        "released": 1.0,
+        "at_rest": 1.0,
+    }
+
+
+def _double_sided_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]:
+    """Return the goals that `_double_sided_demanded` encoded, for half-extents (3,)."""
+    goals = []
+    for side in ("left", "right"):
+        x, y, z = desired[f"object_position_{side}"].tolist()
+        goals.append(Goal(kind="pad", position=(x, y, z - float(size[2]))))
+    return tuple(goals)
+
+
+_DEMANDED = {"Placement": _place_demanded, "DoubleSidedPlacement": _double_sided_demanded}
+_GOALS = {"Placement": _place_goals, "DoubleSidedPlacement": _double_sided_goals}
 
 
 def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:

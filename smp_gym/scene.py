@@ -20,6 +20,8 @@ __all__ = [
     "DIFFICULTIES",
     "EVALUATION_SEEDS_START",
     "MAX_OBSTACLES",
+    "PAD_DEPTH",
+    "PAD_HALF_WIDTH",
     "SHAPES",
     "TABLE",
     "TASKS",
@@ -28,13 +30,15 @@ __all__ = [
     "Obstacle",
     "Scene",
     "fixtures",
+    "goal_bodies",
+    "goal_boxes",
 ]
 
-TASKS = ("Placement",)
+TASKS = ("Placement", "DoubleSidedPlacement")
 """Names of the tasks, as they stand in the environment ids."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
-"""Difficulties, with 0 / 2 / 4 / 6 obstacles."""
+"""Difficulties, with 0 / 2 / 4 / 6 obstacles on the way to a goal."""
 
 SHAPES = ("box", "cylinder", "sphere")
 """Obstacle shapes, in the order of the one-hot code of an observation row."""
@@ -50,6 +54,11 @@ BIN_WALL_THICKNESS = 0.01
 BIN_FLOOR_THICKNESS = 0.01
 BIN_HEIGHT = 0.10
 """The bin of Placement, a square open box, m; `BIN_HEIGHT` is from its floor's top to its rim."""
+
+PAD_HALF_WIDTH = 0.07
+PAD_DEPTH = 0.2
+"""A pad of DoubleSidedPlacement, a square column, m. It reaches `PAD_DEPTH` down from its surface
+and stands in the table with its lower end, so that pads of all heights are one shape."""
 
 
 def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -118,11 +127,12 @@ class Goal(_Frozen):
     """Where the object shall end.
 
     Attributes:
-        kind: "bin", an open box in which the object must come to rest.
+        kind: "bin", an open box in which the object must come to rest, or "pad", a raised square
+            on which it must.
         position: centre of the surface on which the object comes to rest, m.
     """
 
-    kind: Literal["bin"] = "bin"
+    kind: Literal["bin", "pad"] = "bin"
     position: Vector3
 
 
@@ -189,10 +199,34 @@ def _bin_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     return (floor_box, *(Obstacle(shape="box", position=p, size=s) for p, s in walls))
 
 
+def _pad_boxes(goal: Goal) -> tuple[Obstacle, ...]:
+    x, y, z = goal.position
+    half = PAD_DEPTH / 2
+    size = (PAD_HALF_WIDTH, PAD_HALF_WIDTH, half)
+    return (Obstacle(shape="box", position=(x, y, z - half), size=size),)
+
+
+_BOXES = {"bin": _bin_boxes, "pad": _pad_boxes}
+_BODY_NAMES = {"bin": ("bin",), "pad": ("pad_left", "pad_right")}
+
+
+def goal_bodies(scene: Scene) -> dict[str, Goal]:
+    """Return the bodies that the goals of a scene bring: their names, and the goals that they mark.
+
+    A bin is called ``bin``; of two pads the first is called ``pad_left``, the second ``pad_right``.
+    """
+    names = (_BODY_NAMES[goal.kind][number] for number, goal in enumerate(scene.goals))
+    return dict(zip(names, scene.goals, strict=True))
+
+
+def goal_boxes(goal: Goal) -> tuple[Obstacle, ...]:
+    """Return the boxes that make up the body of a goal."""
+    return _BOXES[goal.kind](goal)
+
+
 def fixtures(scene: Scene) -> tuple[Obstacle, ...]:
-    """Return the bodies that the task itself brings: the table first, then bins.
+    """Return the bodies that the task itself brings: the table first, then those of the goals.
 
     They are no obstacles (the object may rest on them), but the arm must not touch them.
     """
-    bins = tuple(box for goal in scene.goals if goal.kind == "bin" for box in _bin_boxes(goal))
-    return (TABLE, *bins)
+    return (TABLE, *(box for goal in scene.goals for box in goal_boxes(goal)))

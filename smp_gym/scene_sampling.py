@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import functools
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ from smp_gym.scene import (
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
     DIFFICULTIES,
+    PAD_HALF_WIDTH,
     SHAPES,
     TASKS,
     Configuration,
@@ -40,8 +42,9 @@ from smp_gym.scene import (
     Obstacle,
     Scene,
     fixtures,
+    goal_boxes,
 )
-from smp_gym.tasks import placement
+from smp_gym.tasks import double_sided_placement, placement
 
 __all__ = ["SPECIFICATIONS", "DifficultySpecification", "sample_scene", "sample_with_witness"]
 
@@ -75,6 +78,17 @@ SPECIFICATIONS = {
 """Difficulties by name."""
 
 _PLACEMENT = "Placement"
+_DOUBLE_SIDED = "DoubleSidedPlacement"
+
+_OBSTACLES_BY_SIDE = {"none": (0, 0), "easy": (2, 2), "medium": (4, 4), "hard": (6, 1)}
+_FREE_SHARES = {"none": (1.0, 1.0), "easy": (0.03, 0.03), "medium": (0.01, 0.0), "hard": (0.0, 0.0)}
+"""Of DoubleSidedPlacement: obstacles on the way to the one and to the other pad, and which share of
+the proposals for each may stay free. Where the numbers of obstacles differ, the other side is
+closed off: its only obstacle stands on the pad and leaves no room there."""
+
+_STOPPER_HALF_EXTENTS = (0.05, 0.06)
+"""m, of what stands on a pad that is closed off: between it and the pad's edge no object fits with
+its centre over the pad."""
 
 _DETOUR_STD = 0.2
 _DETOUR_LENGTH = 0.2
@@ -103,14 +117,17 @@ _BASE_DISTANCE = 0.35
 axis of the base. Nearer to it they would block more, but the shoulder, not the way."""
 
 _START_CLEARANCE = 0.05
-_BIN_CLEARANCE = 0.03
+_GOAL_CLEARANCES = {"bin": 0.03, "pad": 0.01}
 _OVERLAP = 0.8
-"""Obstacles: distance (m) to the robot at the start, sideways to the bin, and how near their axes
-may come, as a share of the sum of their widths."""
+"""Obstacles: distance (m) to the robot at the start, sideways to bin or pad, and how near their
+axes may come, as a share of the sum of their widths."""
 
 _BLOCKING_DEPTH = 0.015
 """Metres: how deep an obstacle reaches into the covering spheres before a path counts as blocked.
 The spheres stand out of the arm's shapes by about that much."""
+
+_HALF_WIDTHS = {"bin": BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS, "pad": PAD_HALF_WIDTH}
+"""m, of the bodies of goals."""
 
 _HALF_EXTENTS = (0.03, 0.06)
 _TABLE_SHARE = 0.35
@@ -133,10 +150,11 @@ _GRID_SLACK = 0.02
 """Metres added to the clearance on the grid, for what lies between its points and the samples."""
 
 _CANDIDATE_SETS = 2
+_WAY_DRAWS = 6
 _MAX_CHOICES = 8
-_MAX_DRAWS = 60
-"""How many sets of candidates are tried with a family, how many choices with a set, and how many
-goals and families in all."""
+_MAX_DRAWS = 200
+"""How many sets of candidates are tried with a family, how many families on the second of two ways,
+how many choices with a set, and how many goals and families in all."""
 
 
 def _configuration(q: FloatArray) -> Configuration:
@@ -216,6 +234,7 @@ class _Task:
         release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
         release_height: m, of the object's centre over the goal there.
         nominal_goal: (3,) m, mean goal of the demonstrations.
+        held: (4, 4) pose of the held object in the end-effector frame.
     """
 
     demonstrations: FloatArray
@@ -227,6 +246,7 @@ class _Task:
     release_rotation: FloatArray
     release_height: float
     nominal_goal: FloatArray
+    held: FloatArray
 
     def paths(self, trajectories: FloatArray, which: NDArray[np.int64] | None = None) -> FloatArray:
         """Return (N, T, S, 3) m, centres of spheres (all, or the given) along trajectories."""
@@ -243,36 +263,79 @@ class _Task:
 @functools.lru_cache(maxsize=1)
 def _placement() -> _Task:
     demonstrations = Demonstrations.load(_PLACEMENT)
+    goals = np.array([scene.goals[0].position for scene in demonstrations.scenes])
+    return _make_task(
+        demonstrations.configurations,
+        goals.mean(axis=0),
+        placement.START_CONFIGURATION,
+        placement.HELD_OBJECT_POSE,
+        demonstrations.metadata["finger_angles"],
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _double_sided() -> tuple[_Task, _Task]:
+    """Return what sampling needs to know of the ways to the left and to the right."""
+    demonstrations = Demonstrations.load(_DOUBLE_SIDED)
+    left = kinematics.end_effector_pose(demonstrations.configurations[:, -1])[:, 1, 3] > 0.0
+    tasks = [
+        _make_task(
+            demonstrations.configurations[of_side],
+            np.array([scene.goals[side].position for scene in demonstrations.scenes]).mean(axis=0),
+            double_sided_placement.START_CONFIGURATION,
+            double_sided_placement.HELD_OBJECT_POSE,
+            demonstrations.metadata["finger_angles"],
+        )
+        for side, of_side in enumerate((left, ~left))
+    ]
+    return tasks[0], tasks[1]
+
+
+def _make_task(
+    demonstrations: FloatArray,
+    goal: FloatArray,
+    start: Configuration,
+    held: FloatArray,
+    finger_angles: list[float],
+) -> _Task:
     parts = (
         kinematics.arm_spheres(),
-        kinematics.finger_spheres(demonstrations.metadata["finger_angles"]),
-        kinematics.box_spheres(ManipulatedObject().size, placement.HELD_OBJECT_POSE),
+        kinematics.finger_spheres(finger_angles),
+        kinematics.box_spheres(ManipulatedObject().size, held),
     )
     spheres = kinematics.concatenate(*parts)
     moving = np.flatnonzero(spheres.link >= 2)
     first_finger = len(parts[0])
     fingers = np.arange(first_finger, first_finger + len(parts[1]))
-    end = demonstrations.mean[-1]
-    pose = kinematics.end_effector_pose(end)
-    held = pose @ np.asarray(placement.HELD_OBJECT_POSE)
-    goals = np.array([scene.goals[0].position for scene in demonstrations.scenes])
-    goal = goals.mean(axis=0)
+    pose = kinematics.end_effector_pose(demonstrations.mean(axis=0)[-1])
     return _Task(
-        demonstrations=demonstrations.configurations,
-        start=np.asarray(placement.START_CONFIGURATION, np.float64),
+        demonstrations=demonstrations,
+        start=np.asarray(start, np.float64),
         spheres=spheres,
         moving=moving,
         swept=np.setdiff1d(moving, fingers),
         pairs=kinematics.self_collision_pairs(spheres),
         release_rotation=pose[:3, :3],
-        release_height=float(held[2, 3] - goal[2]),
+        release_height=float((pose @ held)[2, 3] - goal[2]),
         nominal_goal=goal,
+        held=np.asarray(held),
     )
 
 
 def _draw_goal(rng: np.random.Generator) -> Goal:
     x, y, z = rng.uniform(placement.BIN_LOWER, placement.BIN_UPPER)
     return Goal(position=(float(x), float(y), float(z)))
+
+
+def _draw_pads(rng: np.random.Generator) -> tuple[Goal, ...]:
+    pads = []
+    for x, y, _ in double_sided_placement.NOMINAL_PADS:
+        radius = double_sided_placement.PAD_SHIFT * np.sqrt(rng.uniform())
+        angle = rng.uniform(-np.pi, np.pi)
+        z = rng.uniform(double_sided_placement.PAD_LOWEST, double_sided_placement.PAD_TOP)
+        position = (x + float(radius * np.cos(angle)), y + float(radius * np.sin(angle)), float(z))
+        pads.append(Goal(kind="pad", position=position))
+    return tuple(pads)
 
 
 def _release_configuration(task: _Task, goal: Goal) -> FloatArray:
@@ -288,7 +351,7 @@ def _release_configuration(task: _Task, goal: Goal) -> FloatArray:
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ task.release_rotation
     center = position + np.array([0.0, 0.0, task.release_height])
-    held = np.asarray(placement.HELD_OBJECT_POSE)[:3, 3]
+    held = task.held[:3, 3]
     seed = task.demonstrations[:, -1].mean(axis=0)
     seed[0] -= turn
     return kinematics.inverse_kinematics(center - rotation @ held, rotation, seed=seed)
@@ -316,7 +379,7 @@ class _Family:
         radius: (S,) m.
         grid: which members sweep over which grid points.
         proposals: how many, from the first, a primitive would propose.
-        free: (N,) whether table and bin leave a member free.
+        free: (N,) whether table and goals leave a member free.
         able: (N,) whether a member may serve as witness, as far as seen from these samples.
     """
 
@@ -341,7 +404,7 @@ def _near(grid: NDArray[np.uint64], rows: FloatArray, distance: float, members: 
 
 def _draw_family(
     task: _Task,
-    goal: Goal,
+    goals: tuple[Goal, ...],
     configuration: FloatArray,
     proposals: int,
     wide: int,
@@ -361,10 +424,11 @@ def _draw_family(
     grid = sampling_kernels.rasterised(paths, radius, _GRID_ORIGIN, _GRID_SPACING, _GRID_SHAPE)
     height = (paths[..., 2] - radius).min(axis=(1, 2))
     # The bin counts as solid here: its thin walls would fall through the grid.
-    solid = np.array([_solid_bin(goal)])
+    solids = np.array([_solid(goal) for goal in goals])
 
     def clear(distance: float) -> BoolArray:
-        return ~_near(grid, solid, distance, len(paths))[0] & (height > distance)
+        near = _near(grid, solids, distance, len(paths)).any(axis=0)
+        return ~near & (height > distance)
 
     return _Family(
         configuration=configuration,
@@ -421,7 +485,10 @@ def _is_witness(
     return bool(sampling_kernels.self_clearance(path, radius, task.pairs) >= _SELF_CLEARANCE)
 
 
-def _solid_bin(goal: Goal) -> list[float]:
+def _solid(goal: Goal) -> list[float]:
+    """Return the body of a goal as one box."""
+    if goal.kind == "pad":
+        return _row(goal_boxes(goal)[0])
     half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS
     height = (BIN_HEIGHT + BIN_FLOOR_THICKNESS) / 2
     x, y, z = goal.position
@@ -461,9 +528,9 @@ def _widths(rows: FloatArray) -> FloatArray:
 
 
 def _draw_candidates(
-    task: _Task, family: _Family, goal: Goal, rng: np.random.Generator
+    task: _Task, family: _Family, goals: tuple[Goal, ...], rng: np.random.Generator
 ) -> FloatArray:
-    """Return rows of obstacles near the paths of free proposals, clear of table, bin and start."""
+    """Return rows of obstacles near the paths of free proposals, off table, goals and start."""
     count = _CANDIDATES
     pool = np.flatnonzero(family.free[: family.proposals])
     if not len(pool):
@@ -486,10 +553,12 @@ def _draw_candidates(
     position[:, 2] = np.where(on_table, size[:, 2], position[:, 2])
     rows = np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
 
-    half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS + _BIN_CLEARANCE
-    aside = np.abs(position[:, :2] - np.asarray(goal.position[:2])).max(axis=1)
-    away = np.hypot(position[:, 0], position[:, 1]) >= _BASE_DISTANCE
-    rows = rows[away & (position[:, 2] >= size[:, 2]) & (aside >= half + _widths(rows))]
+    fits = np.hypot(position[:, 0], position[:, 1]) >= _BASE_DISTANCE
+    fits &= position[:, 2] >= size[:, 2]
+    for goal in goals:
+        aside = np.abs(position[:, :2] - np.asarray(goal.position[:2])).max(axis=1)
+        fits &= aside >= _HALF_WIDTHS[goal.kind] + _GOAL_CLEARANCES[goal.kind] + _widths(rows)
+    rows = rows[fits]
     start, radius = task.paths(task.start[None]), task.spheres.radius
     clear = sampling_kernels.path_clearances(start, radius, rows, 1.0) >= _START_CLEARANCE
     return rows[clear]
@@ -522,7 +591,7 @@ def _choose(
         blocks: (C, P), which proposals each blocks; proposal 0, the mean, must be blocked.
         clears: (C, N), from which possible witnesses each keeps its clearance.
         pairs: (S, S), which of the first S candidates may stand together.
-        specification: how many to choose (0, or 2 and more), and how many of them on the table.
+        specification: how many to choose, and how many of more than two on the table.
 
     Returns:
         Indices of the chosen; None if nobody would be left clear.
@@ -531,6 +600,9 @@ def _choose(
     if count == 0:
         return []
     standing = rows[:, 3] == rows[:, 8]
+    if count == 1:
+        worth = np.where(blocks[:, 0] & clears.any(axis=1), blocks.sum(axis=1), 0)
+        return [int(np.argmax(worth))] if worth.any() else None
     first, second = sampling_kernels.best_pair(
         sampling_kernels.packed(blocks[: len(pairs)]),
         sampling_kernels.packed(clears[: len(pairs)]),
@@ -556,28 +628,88 @@ def _choose(
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """One draw: goal, (M, 9) rows of obstacles, (W, 6) witness."""
+    """One draw: (6,) start, goals, (M, 9) rows of obstacles, (W, 6) witness."""
 
-    goal: Goal
+    start: FloatArray
+    goals: tuple[Goal, ...]
     rows: FloatArray
     witness: FloatArray
 
 
-def _draw(
-    task: _Task, specification: DifficultySpecification, rng: np.random.Generator
-) -> _Draw | None:
+def _draw_placement(difficulty: str, rng: np.random.Generator) -> _Draw | None:
     """Draw a goal, obstacles and a witness; None if they do not fit together."""
     goal = _draw_goal(rng)
+    return _draw_way(_placement(), SPECIFICATIONS[difficulty], goal, (goal,), rng)
+
+
+def _draw_double_sided(difficulty: str, rng: np.random.Generator) -> _Draw | None:
+    """Draw two pads, obstacles on both sides and a witness; None if they do not fit together.
+
+    One side, drawn at random, is sure to be open, and the witness goes there. The other one either
+    has a witness, too, or is closed off.
+    """
+    goals = _draw_pads(rng)
+    tasks = _double_sided()
+    side = int(rng.integers(2))
+    count, count_other = _OBSTACLES_BY_SIDE[difficulty]
+    share, share_other = _FREE_SHARES[difficulty]
+    specification = replace(SPECIFICATIONS[difficulty], obstacles=count, free_share=share)
+    drawn = _draw_way(tasks[side], specification, goals[side], goals, rng)
+    if drawn is None:
+        return None
+    if count == count_other:
+        specification = replace(specification, free_share=share_other)
+        for _ in range(_WAY_DRAWS if count_other else 1):
+            both = _draw_way(tasks[1 - side], specification, goals[1 - side], goals, rng, drawn)
+            if both is not None:
+                return both
+        return None
+    stopper = _stopper(goals[1 - side], rng)
+    path, radius = tasks[side].paths(drawn.witness), tasks[side].spheres.radius
+    clearance = sampling_kernels.path_clearances(path, radius, stopper, 1.0).min()
+    if clearance < max(specification.clearance, _START_CLEARANCE):
+        return None
+    return replace(drawn, rows=np.concatenate([drawn.rows, stopper]))
+
+
+def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
+    """Return the (1, 9) row of a box that leaves no room on a pad."""
+    half = rng.uniform(*_STOPPER_HALF_EXTENTS, size=3)
+    x, y, z = goal.position
+    size = (float(half[0]), float(half[1]), float(half[2]))
+    box = Obstacle(shape="box", position=(x, y, z + size[2]), size=size)
+    return np.array([_row(box)])
+
+
+def _draw_way(
+    task: _Task,
+    specification: DifficultySpecification,
+    goal: Goal,
+    goals: tuple[Goal, ...],
+    rng: np.random.Generator,
+    before: _Draw | None = None,
+) -> _Draw | None:
+    """Draw obstacles on the way to a goal, and a witness; None if they do not fit together.
+
+    Args:
+        task: whose way it is.
+        specification: of these obstacles.
+        goal: where the way leads.
+        goals: all of the scene.
+        rng: source of all randomness.
+        before: a way that was drawn before: its witness stays one, and its obstacles are in the
+            result, too.
+    """
     try:
         configuration = _release_configuration(task, goal)
     except kinematics.UnreachableError:
         return None
     crowd = specification.obstacles > 0
     family = _draw_family(
-        task, goal, configuration, _PROPOSALS if crowd else 0, _WIDE if crowd else 0, rng
+        task, goals, configuration, _PROPOSALS if crowd else 0, _WIDE if crowd else 0, rng
     )
     for _ in range(_CANDIDATE_SETS if crowd else 1):
-        drawn = _place(task, specification, goal, family, rng)
+        drawn = _place(task, specification, goals, family, rng, before)
         if drawn is not None:
             return drawn
     return None
@@ -586,36 +718,48 @@ def _draw(
 def _place(
     task: _Task,
     specification: DifficultySpecification,
-    goal: Goal,
+    goals: tuple[Goal, ...],
     family: _Family,
     rng: np.random.Generator,
+    before: _Draw | None = None,
 ) -> _Draw | None:
     """Draw obstacles for a family and find its witness; None if too much is free or nothing."""
     count = specification.obstacles
     rows = np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
     if count:
-        rows = _draw_candidates(task, family, goal, rng)
+        rows = _draw_candidates(task, family, goals, rng)
     proposed = family.free[: family.proposals]
+    able = family.able.copy()
+    others = rows[:0]
+    if before is not None:
+        others = before.rows
+        path, radius = task.paths(before.witness), task.spheres.radius
+        enough = specification.clearance
+        kept = sampling_kernels.path_clearances(path, radius, rows, enough) >= enough
+        rows = rows[kept & _apart(rows, others).all(axis=1)]
+        able &= ~family.near(others, specification.clearance + _GRID_SLACK).any(axis=0)
     blocks = family.near(rows, -_BLOCKING_DEPTH)[:, : family.proposals] & proposed
     order = np.argsort(-blocks.sum(axis=1), kind="stable")
     rows, blocks = rows[order], blocks[order]
     pairs = _apart(rows[:_PAIRED_CANDIDATES], rows[:_PAIRED_CANDIDATES])
     clears = ~family.near(rows, specification.clearance + _GRID_SLACK)
-    bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=(goal,))
+    bare = Scene(task=_PLACEMENT, start=_configuration(task.start), goals=goals)
     bodies = np.array([_row(body) for body in fixtures(bare)])
-    able = family.able.copy()
     for _ in range(_MAX_CHOICES):
         choice = _choose(rows, blocks, clears & able, pairs, specification)
         if choice is None:
             return None
-        free = proposed & ~_blocked(family, rows[choice])
+        together = np.concatenate([others, rows[choice]])
+        free = proposed & ~_blocked(family, together)
         if count and (free[0] or free.sum() > specification.free_share * proposed.sum()):
             return None
         alive = able & clears[choice].all(axis=0)
         for index in np.flatnonzero(alive):
             witness = _member(task, family, int(index))
-            if _is_witness(task, witness, bodies, rows[choice], specification.clearance):
-                return _Draw(goal, rows[choice], witness)
+            if _is_witness(task, witness, bodies, together, specification.clearance):
+                return _Draw(
+                    task.start, goals, together, witness if before is None else before.witness
+                )
         able[alive] = False
     return None
 
@@ -627,6 +771,12 @@ def _blocked(family: _Family, rows: FloatArray) -> BoolArray:
     each = sampling_kernels.blocked_paths(paths, family.radius, steps, rows, _BLOCKING_DEPTH)
     blocked: BoolArray = np.any(each, axis=0)
     return blocked
+
+
+_DRAWS: dict[str, Callable[[str, np.random.Generator], _Draw | None]] = {
+    _PLACEMENT: _draw_placement,
+    _DOUBLE_SIDED: _draw_double_sided,
+}
 
 
 def sample_with_witness(
@@ -654,11 +804,9 @@ def sample_with_witness(
         raise ValueError(f"difficulty must be one of {', '.join(DIFFICULTIES)}; got {difficulty!r}")
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
-    specification = SPECIFICATIONS[difficulty]
     rng = np.random.Generator(np.random.PCG64(_seed_sequence(task, difficulty, seed, version)))
-    data = _placement()
     for _ in range(_MAX_DRAWS):
-        drawn = _draw(data, specification, rng)
+        drawn = _DRAWS[task](difficulty, rng)
         if drawn is not None:
             break
     else:
@@ -668,9 +816,9 @@ def sample_with_witness(
         version=version,
         difficulty=difficulty,  # type: ignore[arg-type]
         seed=seed,
-        start=_configuration(data.start),
+        start=_configuration(drawn.start),
         manipulated=ManipulatedObject(),
-        goals=(drawn.goal,),
+        goals=drawn.goals,
         obstacles=tuple(_obstacle(row) for row in drawn.rows),
     )
     return scene, drawn.witness

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -12,7 +11,7 @@ from smp_gym import assets
 from smp_gym.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
 from smp_gym.kinematics import LINKS
 from smp_gym.observation import CONTROL_PERIOD, ObjectState, RobotState
-from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene, fixtures
+from smp_gym.scene import TABLE, ManipulatedObject, Obstacle, Scene, goal_bodies, goal_boxes
 from smp_gym.tasks import Status, Task
 from smp_gym.tasks.status import CALM_SPEED
 from smp_gym.world import PHYSICS_PERIOD, BulletWorld, Contact
@@ -28,10 +27,11 @@ CLEARANCE_LIMIT = 0.05
 FloatArray = NDArray[np.float64]
 
 _TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
-_BIN_COLOR = (0.30, 0.45, 0.62, 1.0)
+_GOAL_COLORS = {"bin": (0.30, 0.45, 0.62, 1.0), "pad": (0.36, 0.60, 0.42, 1.0)}
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
 _ORIGIN = (0.0, 0.0, 0.0)
-_PARKING = (0.0, 0.0, -10.0)
+# Where bodies of goals wait, so deep and so far apart that they are near nothing.
+_PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
 _FAR_AWAY = (0.0, 0.0, 10.0)
 
 _CLOSING_STEPS = 30
@@ -51,7 +51,7 @@ def _group(part: str) -> str:
         return "hand"
     if part in LINKS:
         return "arm"
-    return "obstacle" if part.startswith("obstacle") else part
+    return part.split("_")[0] if part.startswith(("obstacle", "pad")) else part
 
 
 @cache
@@ -107,10 +107,11 @@ class Workcell:
             self._settled = self.world.snapshot()
             self._grasp, self._scenes = grasp, 0
         self._scenes += 1
-        self._disperse(scene.obstacles)
+        self._disperse(scene)
         self.world.restore(self._settled)
         self.arm.set_reference(scene.start, 1.0)
-        self.world.place("bin", scene.goals[0].position)
+        for name, goal in goal_bodies(scene).items():
+            self.world.place(name, goal.position)
         for name, obstacle in zip(self.world.obstacles, scene.obstacles, strict=True):
             self.world.place(name, obstacle.position, obstacle.quaternion)
         self.world.detect_contacts()
@@ -124,14 +125,15 @@ class Workcell:
             raise ValueError(f"the scene begins with a collision: {self.collision}")
         self._measure()
 
-    def _disperse(self, obstacles: Sequence[Obstacle]) -> None:
+    def _disperse(self, scene: Scene) -> None:
         """Exchange the obstacles and take all bodies apart.
 
         The solver works through pairs of near bodies in the order in which they came near, which a
         snapshot does not hold. So the last episode's pairs must be gone before the next begins.
         """
-        self.world.set_obstacles(obstacles)
-        self.world.place("bin", _PARKING)
+        self.world.set_obstacles(scene.obstacles)
+        for name, parking in zip(goal_bodies(scene), _PARKING, strict=False):
+            self.world.place(name, parking)
         self.world.place("object", _FAR_AWAY)
         self.arm.stretch()
         # The engine drops pairs that have come apart a few at a time.
@@ -158,10 +160,10 @@ class Workcell:
         """Fill an empty world and let the hand close on the object."""
         world = self.world
         world.clear()
-        origin = scene.model_copy(update={"goals": (Goal(position=_ORIGIN),)})
-        table, *walls = fixtures(origin)
-        world.add_body("table", (table,), color=_TABLE_COLOR)
-        world.add_body("bin", walls, color=_BIN_COLOR, position=_PARKING)
+        world.add_body("table", (TABLE,), color=_TABLE_COLOR)
+        for (name, goal), parking in zip(goal_bodies(scene).items(), _PARKING, strict=False):
+            boxes = goal_boxes(goal.model_copy(update={"position": _ORIGIN}))
+            world.add_body(name, boxes, color=_GOAL_COLORS[goal.kind], position=parking)
         self.arm = Jaco(world, assets.jaco_urdf(), scene.start)
         block = Obstacle(shape="box", position=_ORIGIN, size=manipulated.size)
         position, quaternion = self.arm.carried(self._task.object_in_hand)

@@ -94,6 +94,8 @@ class Plan:
         chosen: index of the particle to execute.
         timings: seconds of each stage by name, in order.
         message: empty, or why no particle is good.
+        components: (P,) index of the component of the prior that each particle belongs to; None
+            where there is but one.
     """
 
     weights: FloatArray
@@ -107,6 +109,7 @@ class Plan:
     chosen: int
     timings: Mapping[str, float] = field(default_factory=dict)
     message: str = ""
+    components: NDArray[np.int64] | None = None
 
     @property
     def good(self) -> BoolArray:

@@ -14,8 +14,12 @@ __all__ = ["problem_from"]
 RELEASE_HEIGHT = (0.005, 0.035)
 """Least and greatest height of the object's lowest point above the rim when it is let go, m."""
 
+PAD_RELEASE_HEIGHT = (0.012, 0.035)
+"""The same above a pad, m: the spheres that cover the object stand out of it by 9 mm, and from
+higher up it would tip over."""
+
 RELEASE_HALF_WIDTH = 0.02
-"""Half width of the square above the bin's middle in which the object's centre is let go, m."""
+"""Half width of the square above the goal's middle in which the object's centre is let go, m."""
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -30,17 +34,18 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalRegion:
-    """Return where the object's centre may be when the hand opens over a bin.
+    """Return where the object's centre may be when the hand opens over a bin or a pad.
 
     Args:
-        goal: the bin.
+        goal: the bin or the pad.
         point: (3,) the object's centre in the end-effector frame.
         reach_down: distance from the object's centre to its lowest point, m.
     """
     x, y, z = goal.position
-    rim = z + BIN_HEIGHT + reach_down
-    lower = (x - RELEASE_HALF_WIDTH, y - RELEASE_HALF_WIDTH, rim + RELEASE_HEIGHT[0])
-    upper = (x + RELEASE_HALF_WIDTH, y + RELEASE_HALF_WIDTH, rim + RELEASE_HEIGHT[1])
+    rim = z + (BIN_HEIGHT if goal.kind == "bin" else 0.0) + reach_down
+    least, greatest = RELEASE_HEIGHT if goal.kind == "bin" else PAD_RELEASE_HEIGHT
+    lower = (x - RELEASE_HALF_WIDTH, y - RELEASE_HALF_WIDTH, rim + least)
+    upper = (x + RELEASE_HALF_WIDTH, y + RELEASE_HALF_WIDTH, rim + greatest)
     return GoalRegion(point, np.array(lower), np.array(upper))
 
 

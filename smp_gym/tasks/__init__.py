@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import TASKS, Scene
+from smp_gym.tasks.double_sided_placement import DoubleSidedPlacement
 from smp_gym.tasks.placement import Placement
 from smp_gym.tasks.status import Status
 
@@ -47,7 +48,7 @@ class Task(Protocol):
         """Return the pairs of groups that may touch, names in alphabetical order.
 
         The groups are ``arm`` (base and links 1 to 5), ``hand`` (palm and fingers), ``object``,
-        ``obstacle``, ``table`` and ``bin``. Any other contact is a collision.
+        ``obstacle``, ``table``, ``bin`` and ``pad``. Any other contact is a collision.
 
         Args:
             held: whether the hand grips the object.
@@ -83,6 +84,10 @@ class Task(Protocol):
         """Return the potential (...) whose differences make up the dense reward."""
         ...
 
+    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+        """Return what goals (G,) tell beyond success; it goes into the step's info."""
+        ...
+
 
 def make_task(name: str) -> Task:
     """Return a task by name.
@@ -90,7 +95,8 @@ def make_task(name: str) -> Task:
     Raises:
         ValueError: no such task.
     """
-    tasks: dict[str, Task] = {"Placement": Placement()}
+    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement())
+    tasks = {task.name: task for task in known}
     if name not in tasks:
         raise ValueError(f"task must be one of {', '.join(TASKS)}; got {name!r}")
     return tasks[name]

@@ -36,7 +36,7 @@ app = typer.Typer(
 )
 
 _Difficulty = Annotated[
-    str, typer.Option(help="How many obstacles: none 0, easy 2, medium 4, hard 6.")
+    str, typer.Option(help="How many obstacles on each way: none 0, easy 2, medium 4, hard 6.")
 ]
 
 

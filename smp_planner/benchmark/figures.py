@@ -162,7 +162,7 @@ def _legend_entries(rollout: Rollout, count: int) -> list[Any]:
         Line2D([], [], color=_DEMONSTRATION, lw=1.2, ls="--", label=f"demonstrations ({count})"),
         Line2D([], [], color=_ARM, lw=7, label="arm at the start", solid_capstyle="round"),
         Patch(color=_OBSTACLE, label="obstacles"),
-        Patch(color=_BIN, alpha=0.6, label="bin"),
+        Patch(color=_BIN, alpha=0.6, label="goals"),
     ]
 
 

@@ -1,8 +1,18 @@
-"""Probabilistic movement primitives: basis, distribution over weights, box prior."""
+"""Probabilistic movement primitives: basis, distributions over weights, box prior."""
 
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
 from smp_planner.movement_primitives.box_prior import SmoothBox
 from smp_planner.movement_primitives.em import EMSettings
+from smp_planner.movement_primitives.mixture import ProMPMixture, demonstrated_modes
 from smp_planner.movement_primitives.promp import ProMP, smooth_covariance
 
-__all__ = ["EMSettings", "GaussianBasis", "ProMP", "SmoothBox", "phases", "smooth_covariance"]
+__all__ = [
+    "EMSettings",
+    "GaussianBasis",
+    "ProMP",
+    "ProMPMixture",
+    "SmoothBox",
+    "demonstrated_modes",
+    "phases",
+    "smooth_covariance",
+]

@@ -17,12 +17,18 @@ from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import UnreachableError
-from smp_planner.movement_primitives import ProMP, smooth_covariance
+from smp_planner.movement_primitives import (
+    ProMP,
+    ProMPMixture,
+    demonstrated_modes,
+    smooth_covariance,
+)
+from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.problem import Plan, Problem
 from smp_planner.robot_model import RobotModel, jaco_model
 from smp_planner.verification import Verification, verify
 
-__all__ = ["PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
+__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
 
 FloatArray = NDArray[np.float64]
 
@@ -95,6 +101,21 @@ class TiedPrimitive:
     posture: FloatArray
 
 
+@dataclass(frozen=True)
+class Particles:
+    """The part of a set that belongs to one component of the prior.
+
+    Attributes:
+        component: its index.
+        tied: the component, conditioned.
+        latent: (P_c, r) particles in its whitened coordinates.
+    """
+
+    component: int
+    tied: TiedPrimitive
+    latent: Tensor
+
+
 def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> FloatArray:
     """Return the configuration (6,) that reaches a goal and is most likely under the primitive.
 
@@ -159,6 +180,11 @@ class PlannerModel(ABC):
     Args:
         demonstrations: what to learn from.
         settings: an instance of the class's `Settings`.
+
+    Attributes:
+        primitive: one Gaussian for all demonstrations.
+        mixture: a component for each of the ways that they go; the same Gaussian if there is but
+            one.
     """
 
     name: ClassVar[str]
@@ -172,6 +198,14 @@ class PlannerModel(ABC):
         self.primitive = ProMP.fit(
             np.array(demonstrations.configurations), smooth_std=self.settings.smooth_std
         )
+        self.mixture = self._learn_mixture()
+
+    def _learn_mixture(self) -> ProMPMixture:
+        configurations = list(np.array(self.demonstrations.configurations))
+        modes = demonstrated_modes(configurations)
+        if len(modes) == 1:
+            return ProMPMixture((self.primitive,), torch.ones(1))
+        return ProMPMixture.fit(configurations, smooth_std=self.settings.smooth_std)
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""
@@ -193,25 +227,59 @@ class PlannerModel(ABC):
         Raises:
             UnreachableError: no goal is within reach.
         """
-        primitive = self.primitive
-        if width > 1.0:
-            added = self.settings.smooth_std * np.sqrt(width**2 - 1.0)
-            primitive = primitive.broaden(
-                smooth_covariance(primitive.basis, primitive.dimension, added, 0.2)
-            )
-        return _tie(primitive, problem, robot)
+        return _tie(self._widened(self.primitive, width), problem, robot)
 
-    def draw(self, tied: TiedPrimitive, seed: int) -> Tensor:
-        """Return P whitened draws (P, r) of a tied primitive."""
-        shape = (self.settings.particles, tied.primitive.rank)
-        return torch.from_numpy(np.random.default_rng(seed).standard_normal(shape))
+    def _widened(self, primitive: ProMP, width: float) -> ProMP:
+        if width <= 1.0:
+            return primitive
+        added = self.settings.smooth_std * np.sqrt(width**2 - 1.0)
+        return primitive.broaden(
+            smooth_covariance(primitive.basis, primitive.dimension, added, 0.2)
+        )
+
+    def draw(self, problem: Problem, robot: RobotModel, width: float = 1.0) -> list[Particles]:
+        """Return P draws of the mixture, conditioned on start and goal of a problem.
+
+        Each component is tied to the goal that is likeliest under it, and gets its share of the
+        particles; a component that reaches no goal gets none, and the others share them out.
+
+        Args:
+            problem: to be solved.
+            robot: arm with all that it carries.
+            width: factor of `smooth_std`, at least 1.
+
+        Raises:
+            UnreachableError: no component reaches a goal.
+        """
+        tied: dict[int, TiedPrimitive] = {}
+        unreachable: UnreachableError | None = None
+        for index, component in enumerate(self.mixture.components):
+            try:
+                tied[index] = _tie(self._widened(component, width), problem, robot)
+            except UnreachableError as error:
+                unreachable = error
+        if not tied:
+            assert unreachable is not None
+            raise unreachable
+        counts = shared_out(
+            self.settings.particles, [float(self.mixture.shares[index]) for index in tied]
+        )
+        rng = np.random.default_rng(problem.seed)
+        return [
+            Particles(
+                index,
+                primitive,
+                torch.from_numpy(rng.standard_normal((count, primitive.primitive.rank))),
+            )
+            for (index, primitive), count in zip(tied.items(), counts, strict=True)
+            if count
+        ]
 
     def judge(
         self,
         problem: Problem,
         robot: RobotModel,
-        tied: TiedPrimitive,
-        latent: Tensor,
+        particles: Sequence[Particles],
         costs: dict[str, FloatArray],
         stopwatch: Stopwatch,
     ) -> Plan:
@@ -220,18 +288,19 @@ class PlannerModel(ABC):
         Args:
             problem: to be solved.
             robot: arm with all that it carries.
-            tied: the primitive whose whitened coordinates `latent` are.
-            latent: (P, r) particles.
+            particles: of all components, P together.
             costs: what is known already of each particle, each (P,).
             stopwatch: its stages go into the plan.
         """
         with stopwatch.stage("verification"):
-            weights = tied.primitive.unwhiten(latent)
-            trajectories = tied.primitive.trajectory(weights, SAMPLES).numpy()
+            weights = torch.cat([p.tied.primitive.unwhiten(p.latent) for p in particles])
+            primitive = particles[0].tied.primitive
+            trajectories = primitive.trajectory(weights, SAMPLES).numpy()
             verdict = verify(trajectories, robot, problem.obstacles, self.settings.duration_limit)
             executable = verdict.executable
             goal_error = _goal_error(problem, robot, trajectories[:, -1])
-            costs = {"prior": 0.5 * latent.square().sum(-1).numpy(), **costs}
+            prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
+            costs = {"prior": prior.numpy(), **costs}
             good = verdict.collision_free & executable
             chosen = _choose(verdict, goal_error, costs)
         message = ""
@@ -241,7 +310,12 @@ class PlannerModel(ABC):
                 f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
                 f"{int(executable.sum())} executable; the least bad one is chosen"
             )
-        shape = (len(latent), tied.primitive.basis.count, tied.primitive.dimension)
+        shape = (len(weights), primitive.basis.count, primitive.dimension)
+        components = None
+        if len(self.mixture.components) > 1:
+            components = np.repeat(
+                [p.component for p in particles], [len(p.latent) for p in particles]
+            )
         return Plan(
             weights=weights.numpy().reshape(shape),
             trajectories=trajectories,
@@ -254,6 +328,7 @@ class PlannerModel(ABC):
             chosen=chosen,
             timings=stopwatch.timings,
             message=message,
+            components=components,
         )
 
 

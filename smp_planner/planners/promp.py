@@ -17,6 +17,5 @@ class ProMPPlanner(PlannerModel):
         stopwatch = Stopwatch()
         with stopwatch.stage("conditioning"):
             robot = jaco_with(problem)
-            tied = self.tie(problem, robot)
-            latent = self.draw(tied, problem.seed)
-        return self.judge(problem, robot, tied, latent, {}, stopwatch)
+            particles = self.draw(problem, robot)
+        return self.judge(problem, robot, particles, {}, stopwatch)

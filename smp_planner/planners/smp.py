@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -31,6 +32,7 @@ from smp_planner.occupancy.neural import (
 )
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
 from smp_planner.planners.base import (
+    Particles,
     PlannerModel,
     PlannerSettings,
     Stopwatch,
@@ -83,7 +85,13 @@ class SMPSettings(PlannerSettings):
 
 
 class SMPPlanner(PlannerModel):
-    """A particle set from the conditioned primitive, carried to the posterior by SVGD."""
+    """A particle set from the conditioned primitive, carried to the posterior by SVGD.
+
+    With a mixture as prior, each component has its share of the particles, whitened by its own
+    factor, and is a run of its own against the same likelihood. Components are so far apart, in
+    units of their own spread, that the kernel and the responsibilities between them vanish: one run
+    with all particles would do the same, but for a bandwidth that spans both.
+    """
 
     name = "smp"
     Settings = SMPSettings
@@ -107,17 +115,27 @@ class SMPPlanner(PlannerModel):
         best: Plan | None = None
         for attempt in range(self.settings.retries + 1):
             with stopwatch.stage("conditioning"):
-                tied = self.tie(problem, robot, width=2.0**attempt)
-                latent = self.draw(tied, problem.seed)
+                drawn = self.draw(problem, robot, width=2.0**attempt)
             with stopwatch.stage("inference"):
-                latent, costs = self._infer(tied, latent, likelihood)
-            plan = self.judge(problem, robot, tied, latent, costs, stopwatch)
+                particles, costs = self._infer_all(drawn, likelihood)
+            plan = self.judge(problem, robot, particles, costs, stopwatch)
             if best is None or plan.good.any() > best.good.any():
                 best = plan
             if best.good.any():
                 break
         assert best is not None
         return replace(best, timings=stopwatch.timings)
+
+    def _infer_all(
+        self, drawn: Sequence[Particles], likelihood: Likelihood
+    ) -> tuple[list[Particles], dict[str, FloatArray]]:
+        """Run Algorithm 1 for each component and return particles and final costs of all."""
+        inferred, costs = [], []
+        for part in drawn:
+            latent, costs_of_part = self._infer(part.tied, part.latent, likelihood)
+            inferred.append(replace(part, latent=latent))
+            costs.append(costs_of_part)
+        return inferred, {name: np.concatenate([c[name] for c in costs]) for name in costs[0]}
 
     def _infer(
         self, tied: TiedPrimitive, latent: Tensor, likelihood: Likelihood

@@ -154,7 +154,7 @@ def test_mean_is_taken_over_demonstrations():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"task": "Juggling"}, "task must be one of Placement; got 'Juggling'"),
+        ({"task": "Juggling"}, "task must be one of Placement, .*; got 'Juggling'"),
         ({"configurations": np.zeros((3, 5))}, "configurations must have shape"),
         ({"configurations": [np.zeros((5, 6)), np.zeros((4, 6))]}, "equal dimensions"),
         ({"configurations": [np.zeros((5, 6)), np.zeros((5, 7))]}, "equal dimensions"),
@@ -188,7 +188,7 @@ def test_save_wants_an_npz(tmp_path):
 
 
 def test_load_names_what_ships_when_nothing_is_there(tmp_path):
-    with pytest.raises(FileNotFoundError, match="one of Placement"):
+    with pytest.raises(FileNotFoundError, match=r"one of .*Placement"):
         Demonstrations.load(tmp_path / "nothing.npz")
     with pytest.raises(FileNotFoundError, match="Juggling"):
         Demonstrations.load("Juggling")
@@ -298,6 +298,24 @@ def test_scripted_movements_keep_within_the_speed_limit(script):
         speed = np.abs(np.diff(movement, axis=0)) * (len(movement) - 1) / script.DURATION[0]
         assert (speed <= script.SPEED_LIMIT * JOINT_VELOCITY).all()
         assert movement.shape == (200, 6)
+
+
+@pytest.mark.parametrize("way", [0, 1])
+def test_scripted_movements_end_just_above_either_pad(script, way):
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        movement = script.scripted_movement(rng, script.DOUBLE_SIDED_PLACEMENT, way)
+        speed = np.abs(np.diff(movement, axis=0)) * 199 / script.DOUBLE_SIDED_PLACEMENT.duration[0]
+        assert (speed <= script.SPEED_LIMIT * JOINT_VELOCITY).all()
+        held = (end_effector_pose(movement[-1]) @ HELD_OBJECT_POSE)[:3, 3]
+        surface = np.array(script.DOUBLE_SIDED_PLACEMENT.goals[way].position)
+        assert np.abs(held - surface)[:2].max() < 0.03
+        assert 0.045 < held[2] - surface[2] < 0.07
+
+
+def test_the_script_knows_its_tasks(script, tmp_path):
+    with pytest.raises(typer.BadParameter, match="DoubleSidedPlacement; got 'Juggling'"):
+        script.main(tmp_path / "Juggling.npz", task="Juggling")
 
 
 def test_control_period_divides_the_durations(shipped):

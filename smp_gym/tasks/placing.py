@@ -1,0 +1,129 @@
+"""What tasks share that set an object down: checks of scenes, contacts, flags of the goals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER
+from smp_gym.observation import GOAL_LAYOUTS
+from smp_gym.scene import Scene
+from smp_gym.tasks.status import Status
+
+__all__ = ["GRASP_FINGER_ANGLES", "POTENTIAL_PER_METRE", "PlacingTask", "goal_columns"]
+
+FloatArray = NDArray[np.floating[Any]]
+BoolArray = NDArray[np.bool_]
+
+GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
+"""Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
+
+POTENTIAL_PER_METRE = 100.0
+"""By how much the dense reward's potential rises on the way to the goal."""
+
+_CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
+
+
+def goal_columns(task: str, name: str) -> slice:
+    """Return where a field stands in the goal vectors of a task."""
+    start = 0
+    for field in GOAL_LAYOUTS[task]:
+        if field.name == name:
+            return slice(start, start + field.size)
+        start += field.size
+    raise KeyError(name)
+
+
+@dataclass(frozen=True)
+class PlacingTask:
+    """A task that begins with the object in the hand and ends with it at rest somewhere.
+
+    The held object may touch nothing but the hand. Once let go and come to rest it has been placed,
+    which ends the episode: where it should be with success, anywhere else with the penalty of a
+    collision. Without the penalty dropping would be a way out; without the end an agent that learns
+    from hindsight finds that letting go at once always reaches some goal, and hardly ever that it
+    misses the desired one.
+    """
+
+    name: str
+    version: int = 0
+
+    support: ClassVar[str]
+    """Group of the bodies on which the object may rest, which is also the kind of the goals."""
+
+    goals: ClassVar[int]
+    """How many goals a scene has."""
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ValueError if an episode of this task cannot be played in the scene."""
+        if scene.task != self.name:
+            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        if scene.manipulated is None:
+            raise ValueError("scene.manipulated must be an object to place, got None")
+        if len(scene.goals) != self.goals:
+            number = {1: "one", 2: "two"}[self.goals]
+            plural = "" if self.goals == 1 else "s"
+            raise ValueError(
+                f"scene.goals must hold {number} {self.support}{plural}, "
+                f"got {len(scene.goals)} goals"
+            )
+        kinds = [goal.kind for goal in scene.goals if goal.kind != self.support]
+        if kinds:
+            raise ValueError(f"scene.goals must be of kind {self.support!r}, got {kinds[0]!r}")
+        moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
+        if moving:
+            raise ValueError(
+                f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
+            )
+        start = np.array(scene.start)
+        if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
+            raise ValueError(
+                f"scene.start must lie between {JOINT_LOWER.round(4).tolist()} and "
+                f"{JOINT_UPPER.round(4).tolist()} rad, got {start.tolist()}"
+            )
+
+    def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
+        """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
+        if held:
+            return _CONTACTS_HELD
+        support = ("bin", "object") if self.support == "bin" else ("object", self.support)
+        return _CONTACTS_HELD | {support, ("object", "table")}
+
+    def failure(self, status: Status) -> str:
+        """Return "dropped" when the object, no longer held, touches the table."""
+        return "dropped" if not status.held and "table" in status.object_contacts else ""
+
+    def collided(self, achieved: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) tell of a collision, (...)."""
+        return achieved[..., self._flag("collided")] > 0.5
+
+    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) are reached, (...)."""
+        raise NotImplementedError
+
+    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) tell of an object let go and at rest elsewhere, (...)."""
+        released, at_rest = self._flag("released"), self._flag("at_rest")
+        placed = (achieved[..., released] > 0.5) & (achieved[..., at_rest] > 0.5)
+        return np.asarray(placed & ~self.success(achieved, desired))
+
+    def _flag(self, name: str) -> int:
+        return int(goal_columns(self.name, name).start)
+
+    def _flags(self, status: Status) -> dict[str, float]:
+        """Return the flags of the achieved goal by field name."""
+        return {
+            "collided": float(status.collided),
+            "released": float("hand" not in status.object_contacts),
+            "at_rest": float(status.at_rest),
+        }
+
+    def _let_go(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether the demanded flags are up and nothing collided, (...)."""
+        released, at_rest = self._flag("released"), self._flag("at_rest")
+        up = achieved[..., released] >= desired[..., released]
+        still = achieved[..., at_rest] >= desired[..., at_rest]
+        return np.asarray(up & still & ~self.collided(achieved))
