@@ -58,9 +58,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
 
     **Rewards**: -1 a step, 0 at success, -100 at a collision or when the task is lost for good
-    (placing: the object rests, let go, where it should not); all three end the episode. "dense" adds
-    the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential being
-    0 once the episode has ended.
+    (placing: the object rests, let go, where it should not); all three end the episode. "dense"
+    adds the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential
+    being 0 once the episode has ended.
 
     **Collisions**: any contact of the arm or of the held object that the task does not need, looked
     for after every physics step.
