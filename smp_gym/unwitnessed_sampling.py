@@ -13,11 +13,14 @@ import numpy as np
 
 from smp_gym import kinematics, sampling_kernels
 from smp_gym import scene_sampling as sampling
-from smp_gym.scene import DIFFICULTIES, TASKS, Goal, ManipulatedObject, Scene
+from smp_gym.scene import DIFFICULTIES, Goal, ManipulatedObject, Scene
 
 __all__ = ["place_without_witness"]
 
 _MAX_DRAWS = 60
+
+_TASKS = ("Placement",)
+"""Tasks whose scenes can be placed so."""
 
 
 def _choose_obstacles(
@@ -29,7 +32,7 @@ def _choose_obstacles(
 ) -> sampling.FloatArray | None:
     """Return (M, 9) rows that block the mean and enough of the proposals; None if none do."""
     proposed = family.free[: family.proposals]
-    rows = sampling._draw_candidates(task, family, goal, rng)
+    rows = sampling._draw_candidates(task, family, (goal,), rng)
     # Every proposal ends over the goal: without this, that is where the obstacles would gather.
     end, radius = task.paths(family.configuration[None]), task.spheres.radius
     clearance = sampling_kernels.path_clearances(end, radius, rows, 1.0)
@@ -55,7 +58,7 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
     """Return the scene of (task, version, difficulty, seed) that is placed without a witness.
 
     Args:
-        task: name of the task, one of `smp_gym.scene.TASKS`.
+        task: name of the task: "Placement".
         difficulty: one of `smp_gym.scene.DIFFICULTIES` but "none", which has nothing to place.
         seed: not negative.
         version: version of the task's scene distribution.
@@ -66,8 +69,8 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
     Raises:
         ValueError: no such task or difficulty, or a negative seed or version.
     """
-    if task not in TASKS:
-        raise ValueError(f"task must be one of {', '.join(TASKS)}; got {task!r}")
+    if task not in _TASKS:
+        raise ValueError(f"task must be one of {', '.join(_TASKS)}; got {task!r}")
     crowded = [name for name in DIFFICULTIES if sampling.SPECIFICATIONS[name].obstacles]
     if difficulty not in crowded:
         raise ValueError(f"difficulty must be one of {', '.join(crowded)}; got {difficulty!r}")
@@ -84,7 +87,7 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
         except kinematics.UnreachableError:
             continue
         family = sampling._draw_family(
-            data, goal, configuration, sampling._PROPOSALS, sampling._WIDE, rng
+            data, (goal,), configuration, sampling._PROPOSALS, sampling._WIDE, rng
         )
         rows = _choose_obstacles(data, specification, goal, family, rng)
         if rows is not None:
