@@ -7,7 +7,9 @@ written unless every one of them ends in success.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -251,20 +253,30 @@ def main(
         Path | None,
         typer.Option(help="File to write; default envs_assets/demonstrations/TASK.npz."),
     ] = None,
-    task: Annotated[str, typer.Option(help=f"One of {', '.join(SCRIPTS)}.")] = PLACEMENT.task,
+    task: Annotated[
+        str, typer.Option(help=f"One of {', '.join(SCRIPTS)}, DrawS.")
+    ] = PLACEMENT.task,
 ) -> None:
     """Record the demonstrations of a task; refuse to write unless all of them succeed."""
-    if task not in SCRIPTS:
-        raise typer.BadParameter(f"task must be one of {', '.join(SCRIPTS)}; got {task!r}")
-    out = out or Path("envs_assets/demonstrations") / f"{task}.npz"
     console = Console()
+    out = out or Path(f"envs_assets/demonstrations/{task}.npz")
     try:
-        demonstrations = record(SCRIPTS[task], console)
+        demonstrations = _recorder(task)(console)
     except RuntimeError as error:
         console.print(f"nothing written: {error}")
         raise typer.Exit(1) from error
     demonstrations.save(out)
     console.print(f"wrote {out}")
+
+
+def _recorder(task: str) -> Callable[[Console], Demonstrations]:
+    if task in SCRIPTS:
+        return partial(record, SCRIPTS[task])
+    if task == "DrawS":
+        import draw_s_demonstrations
+
+        return draw_s_demonstrations.record
+    raise typer.BadParameter(f"task must be one of {', '.join(SCRIPTS)}, DrawS; got {task!r}")
 
 
 if __name__ == "__main__":

@@ -220,33 +220,23 @@ def _resample(trajectories: FloatArray, samples: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """What sampling needs to know of a task; built once per process.
+class _Body:
+    """The demonstrated movements, and the body that moves; built once per process.
 
     Attributes:
         demonstrations: (N, T, 6) rad.
-        start: (6,) rad.
-        spheres: arm, fingers and held object.
+        spheres: arm, fingers and what the hand holds.
         moving: index of the spheres that could touch the table.
         swept: index of the spheres that the family is compared by: those but for the fingers, which
             lie between palm and object.
         pairs: (P, 2) spheres that may not touch each other.
-        release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
-        release_height: m, of the object's centre over the goal there.
-        nominal_goal: (3,) m, mean goal of the demonstrations.
-        held: (4, 4) pose of the held object in the end-effector frame.
     """
 
     demonstrations: FloatArray
-    start: FloatArray
     spheres: kinematics.SphereSet
     moving: NDArray[np.int64]
     swept: NDArray[np.int64]
     pairs: NDArray[np.int64]
-    release_rotation: FloatArray
-    release_height: float
-    nominal_goal: FloatArray
-    held: FloatArray
 
     def paths(self, trajectories: FloatArray, which: NDArray[np.int64] | None = None) -> FloatArray:
         """Return (N, T, S, 3) m, centres of spheres (all, or the given) along trajectories."""
@@ -258,6 +248,25 @@ class _Task:
             flat, kinematics.BASE_TRANSFORM, kinematics.JOINT_ORIGINS, link, center
         )
         return centers.reshape(*trajectories.shape[:-1], len(link), 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task(_Body):
+    """What sampling needs to know of a task that sets an object down.
+
+    Attributes:
+        start: (6,) rad.
+        release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
+        release_height: m, of the object's centre over the goal there.
+        nominal_goal: (3,) m, mean goal of the demonstrations.
+        held: (4, 4) pose of the held object in the end-effector frame.
+    """
+
+    start: FloatArray
+    release_rotation: FloatArray
+    release_height: float
+    nominal_goal: FloatArray
+    held: FloatArray
 
 
 @functools.lru_cache(maxsize=1)
@@ -468,7 +477,7 @@ def _within_limits(trajectories: FloatArray) -> BoolArray:
 
 
 def _is_witness(
-    task: _Task, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
+    task: _Body, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
 ) -> bool:
     """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`."""
     if not _within_limits(trajectory):
@@ -805,6 +814,11 @@ def sample_with_witness(
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
     rng = np.random.Generator(np.random.PCG64(_seed_sequence(task, difficulty, seed, version)))
+    if task == "DrawS":
+        # It builds on this module.
+        from smp_gym import stroke_sampling
+
+        return stroke_sampling.sample(SPECIFICATIONS[difficulty], rng, difficulty, seed, version)
     for _ in range(_MAX_DRAWS):
         drawn = _DRAWS[task](difficulty, rng)
         if drawn is not None:

@@ -22,7 +22,7 @@ from smp_gym.observation import DecodedObservation, decode, observation_space
 from smp_planner.planners import PlannerModel, make_planner
 from smp_planner.policy_file import read_policy, write_policy
 from smp_planner.problem import Plan, Problem
-from smp_planner.reading import problem_from
+from smp_planner.reading import checkpoint_phases, problem_from
 from smp_planner.tracking import GripperEvent, Track, gripper_event
 
 __all__ = ["Execution", "PlannerPolicy"]
@@ -66,6 +66,8 @@ class PlannerPolicy:
         self.observation_space: spaces.Dict = observation_space(self.task)
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._event: GripperEvent | None = gripper_event(planner.demonstrations.gripper)
+        drawing = planner.demonstrations.scenes[0].goals[0].kind == "stroke"
+        self._phases = checkpoint_phases(planner.demonstrations) if drawing else None
         self.set_random_seed(seed)
 
     @classmethod
@@ -143,7 +145,7 @@ class PlannerPolicy:
             for i, digest in digests.items()
             if executions[i] is None or executions[i].digest != digest  # type: ignore[union-attr]
         ]
-        problems = [problem_from(decoded[i], seed=digests[i]) for i in due]
+        problems = [problem_from(decoded[i], digests[i], self._phases) for i in due]
         for i, problem, plan in zip(due, problems, self.planner.plan(problems), strict=True):
             executions[i] = self._execution(plan, problem, decoded[i], deterministic)
         ready = tuple(e for e in executions if e is not None)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smp_gym.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 
-__all__ = ["GoalRegion", "Plan", "Planner", "Problem"]
+__all__ = ["GoalRegion", "Plan", "Planner", "Problem", "ViaPoint"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -55,6 +55,32 @@ class GoalRegion:
 
 
 @dataclass(frozen=True)
+class ViaPoint:
+    """A place that a point carried by the hand must pass at about a phase.
+
+    Attributes:
+        phase: in [0, 1].
+        point: (3,) m, fixed in the end-effector frame (for DrawS, the pen's tip).
+        position: (3,) m, of the place in the base frame.
+        tolerance: m, how near the point must come.
+    """
+
+    phase: float
+    point: FloatArray
+    position: FloatArray
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        for name in ("point", "position"):
+            value = _checked(f"ViaPoint.{name}", getattr(self, name), (3,))
+            object.__setattr__(self, name, value)
+        if not 0.0 <= self.phase <= 1.0:
+            raise ValueError(f"ViaPoint.phase must lie in [0, 1], got {self.phase}")
+        if not self.tolerance > 0.0:
+            raise ValueError(f"ViaPoint.tolerance must be positive, got {self.tolerance}")
+
+
+@dataclass(frozen=True)
 class Problem:
     """One scene to plan in.
 
@@ -64,6 +90,7 @@ class Problem:
         attached: spheres that move rigidly with the last link: fingers and held object.
         goals: at least one region; ending in any of them will do.
         seed: from which all randomness of the plan is drawn.
+        via_points: to be passed on the way, in the order of their phases.
     """
 
     start: FloatArray
@@ -71,6 +98,7 @@ class Problem:
     attached: SphereSet
     goals: tuple[GoalRegion, ...]
     seed: int
+    via_points: tuple[ViaPoint, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", _checked("Problem.start", self.start, (6,)))
@@ -96,6 +124,7 @@ class Plan:
         message: empty, or why no particle is good.
         components: (P,) index of the component of the prior that each particle belongs to; None
             where there is but one.
+        passing: (P,) whether all via-points are passed; where there are none, True.
     """
 
     weights: FloatArray
@@ -110,11 +139,12 @@ class Plan:
     timings: Mapping[str, float] = field(default_factory=dict)
     message: str = ""
     components: NDArray[np.int64] | None = None
+    passing: BoolArray = field(default_factory=lambda: np.ones(1, np.bool_))
 
     @property
     def good(self) -> BoolArray:
-        """(P,) whether a particle is collision-free and executable."""
-        return self.collision_free & self.executable
+        """(P,) whether a particle is collision-free, executable and passes all via-points."""
+        return self.collision_free & self.executable & self.passing
 
     @property
     def planning_time(self) -> float:

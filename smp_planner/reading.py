@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from smp_gym.kinematics import box_spheres, concatenate, end_effector_pose, finger_spheres
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.kinematics import (
+    PEN_TIP,
+    box_spheres,
+    concatenate,
+    end_effector_pose,
+    finger_spheres,
+    pen_spheres,
+)
 from smp_gym.observation import DecodedObservation
-from smp_gym.scene import BIN_HEIGHT, Goal, fixtures
-from smp_planner.problem import GoalRegion, Problem
+from smp_gym.scene import BIN_HEIGHT, STROKE_POINTS, Goal, fixtures
+from smp_planner.problem import GoalRegion, Problem, ViaPoint
 
-__all__ = ["problem_from"]
+__all__ = ["checkpoint_phases", "problem_from"]
 
 RELEASE_HEIGHT = (0.005, 0.035)
 """Least and greatest height of the object's lowest point above the rim when it is let go, m."""
@@ -20,6 +28,13 @@ higher up it would tip over."""
 
 RELEASE_HALF_WIDTH = 0.02
 """Half width of the square above the goal's middle in which the object's centre is let go, m."""
+
+
+END_HALF_WIDTH = 0.01
+"""Half width of the cube round the end of a stroke in which the pen shall stop, m."""
+
+CHECKPOINT_TOLERANCE = 0.036
+"""How near a plan leads the pen to the checkpoints of a stroke, m; the task allows 4 cm."""
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -49,7 +64,45 @@ def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalReg
     return GoalRegion(point, np.array(lower), np.array(upper))
 
 
-def problem_from(decoded: DecodedObservation, seed: int) -> Problem:
+def checkpoint_phases(demonstrations: Demonstrations) -> np.ndarray:
+    """Return the mean phases (`STROKE_POINTS`,) at which demonstrators pass equal parts of the arc.
+
+    Args:
+        demonstrations: of a task that draws.
+    """
+    pose = end_effector_pose(demonstrations.configurations)
+    pen = pose[..., :3, :3] @ PEN_TIP + pose[..., :3, 3]
+    arc = np.cumsum(np.linalg.norm(np.diff(pen, axis=1, prepend=pen[:, :1]), axis=-1), axis=1)
+    phase = np.linspace(0.0, 1.0, arc.shape[1])
+    parts = np.linspace(0.0, 1.0, STROKE_POINTS)
+    return np.mean([np.interp(parts, a / a[-1], phase) for a in arc], axis=0)
+
+
+def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray | None) -> Problem:
+    """Return the problem of following a stroke: its end is the goal, the rest are via-points."""
+    stroke = decoded.scene.goals[0]
+    end = np.asarray(stroke.position)
+    if phases is None:
+        phases = np.linspace(0.0, 1.0, STROKE_POINTS)
+    # The pen starts near the first checkpoint, and the last one is the goal.
+    via_points = tuple(
+        ViaPoint(float(phases[k]), PEN_TIP, np.asarray(place), CHECKPOINT_TOLERANCE)
+        for k, place in enumerate(stroke.checkpoints[:-1])
+        if k > 0 and stroke.demanded[k]
+    )
+    return Problem(
+        start=decoded.robot.reference,
+        obstacles=(*decoded.scene.obstacles, *fixtures(decoded.scene)),
+        attached=concatenate(finger_spheres(decoded.robot.finger_angles), pen_spheres()),
+        goals=(GoalRegion(PEN_TIP, end - END_HALF_WIDTH, end + END_HALF_WIDTH),),
+        seed=seed,
+        via_points=via_points,
+    )
+
+
+def problem_from(
+    decoded: DecodedObservation, seed: int, phases: np.ndarray | None = None
+) -> Problem:
     """Return the problem that one observation poses.
 
     The hand's fingers and the object are taken to move rigidly with the hand, as they do now.
@@ -57,7 +110,11 @@ def problem_from(decoded: DecodedObservation, seed: int) -> Problem:
     Args:
         decoded: what the observation says.
         seed: of the plan's randomness.
+        phases: (`STROKE_POINTS`,) when a stroke's checkpoints are due, from `checkpoint_phases`;
+            by default at equal steps.
     """
+    if decoded.scene.goals[0].kind == "stroke":
+        return _drawing_problem(decoded, seed, phases)
     hand = end_effector_pose(decoded.robot.configuration)
     object_pose = np.eye(4)
     object_pose[:3, :3] = _rotation(decoded.object.quaternion)

@@ -25,6 +25,7 @@ from smp_planner.planners.base import (
     Stopwatch,
     _choose,
     _goal_error,
+    _missed,
     jaco_with,
 )
 from smp_planner.problem import Plan, Problem
@@ -396,7 +397,8 @@ class RRTConnectPlanner(PlannerModel):
                 "prior": 0.5 * latent.square().sum(-1).numpy(),
                 "length": np.array([path_length(path) for path in trajectories]),
             }
-            chosen = _choose(verdict, goal_error, costs)
+            missed = _missed(problem, robot, trajectories)
+            chosen = _choose(verdict, goal_error, missed, costs)
         message = ""
         if not (verdict.collision_free & verdict.executable).any():
             message = (
@@ -416,4 +418,5 @@ class RRTConnectPlanner(PlannerModel):
             chosen=chosen,
             timings=stopwatch.timings,
             message=message,
+            passing=missed <= 0.0,
         )
