@@ -1,4 +1,4 @@
-"""What all planners with a primitive share: learning it, tying it to a scene, judging particles."""
+"""What all planners with a primitive share: learning it, tying it to a scene, making plans."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from smp_planner.movement_primitives import (
     smooth_covariance,
 )
 from smp_planner.movement_primitives.mixture import shared_out
+from smp_planner.planners.judging import choose, goal_distance, missed_via_points
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model
-from smp_planner.verification import Verification, verify
+from smp_planner.verification import verify
 
 __all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
 
@@ -47,9 +48,6 @@ REACHED = 0.02
 
 VIA_STD = 0.02
 """Standard deviation, m, with which the primitive is conditioned on via-points."""
-
-VIA_WINDOW = 0.06
-"""Phase by which a via-point may be passed sooner or later than it is due."""
 
 _VIA_ITERATIONS = 8
 
@@ -355,13 +353,13 @@ class PlannerModel(ABC):
             trajectories = primitive.trajectory(weights, SAMPLES).numpy()
             verdict = verify(trajectories, robot, problem.obstacles, self.settings.duration_limit)
             executable = verdict.executable
-            goal_error = _goal_error(problem, robot, trajectories[:, -1])
+            goal_error = goal_distance(problem, robot, trajectories[:, -1])
             prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
-            missed = _missed(problem, robot, trajectories)
+            missed = missed_via_points(problem, robot, trajectories)
             costs = {"prior": prior.numpy(), **costs}
             passing = missed <= 0.0
             good = verdict.collision_free & executable & passing
-            chosen = _choose(verdict, goal_error, missed, costs)
+            chosen = choose(verdict, goal_error, missed, costs)
         message = ""
         if not good.any():
             message = (
@@ -395,44 +393,6 @@ class PlannerModel(ABC):
             components=components,
             passing=passing,
         )
-
-
-def _goal_error(problem: Problem, robot: RobotModel, ends: FloatArray) -> FloatArray:
-    """Return the distance (P,) m of carried points to the nearest goal region."""
-    errors = []
-    for goal in problem.goals:
-        points = robot.carried_points(ends, goal.point)[0]
-        errors.append(np.linalg.norm(points - np.clip(points, goal.lower, goal.upper), axis=-1))
-    return np.asarray(np.min(errors, axis=0))
-
-
-def _missed(problem: Problem, robot: RobotModel, trajectories: FloatArray) -> FloatArray:
-    """Return by how much (P,) m trajectories miss the via-point that they miss most, 0 if none."""
-    phase = np.linspace(0.0, 1.0, trajectories.shape[1])
-    missed = np.zeros(len(trajectories))
-    for via in problem.via_points:
-        due = np.abs(phase - via.phase) <= VIA_WINDOW
-        points = robot.carried_points(trajectories[:, due], via.point)[0]
-        distance = np.linalg.norm(points - via.position, axis=-1).min(axis=1)
-        missed = np.maximum(missed, distance - via.tolerance)
-    return missed
-
-
-SAFE_CLEARANCE = 0.01
-"""Clearance, m, beyond which more of it makes a particle no better."""
-
-
-def _choose(
-    verdict: Verification, goal_error: FloatArray, missed: FloatArray, costs: dict[str, FloatArray]
-) -> int:
-    """Return the best particle: what is demanded first, then likeness to the demonstrations."""
-    free, clearance = verdict.collision_free, verdict.clearance
-    demanded = 4.0 * free + 3.0 * (missed <= 0.0)
-    demanded += 2.0 * verdict.executable + 1.0 * (goal_error < 0.005)
-    unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
-    # One unit of the prior is worth a tenth of a millimetre of missing clearance.
-    merit = -costs["prior"] - 1e4 * unsafe - 1e3 * goal_error - 1e3 * missed
-    return int(np.lexsort((merit, demanded))[-1])
 
 
 def jaco_with(problem: Problem) -> RobotModel:
