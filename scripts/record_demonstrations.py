@@ -29,7 +29,7 @@ from smp_gym.kinematics import (
     inverse_kinematics,
 )
 from smp_gym.observation import CONTROL_PERIOD, decode
-from smp_gym.scene import Configuration, Goal, ManipulatedObject, Scene
+from smp_gym.scene import TASKS, Configuration, Goal, ManipulatedObject, Scene
 from smp_gym.tasks import double_sided_placement, placement
 
 SEED = 0
@@ -251,15 +251,20 @@ def main(
         Path | None,
         typer.Option(help="File to write; default envs_assets/demonstrations/TASK.npz."),
     ] = None,
-    task: Annotated[str, typer.Option(help=f"One of {', '.join(SCRIPTS)}.")] = PLACEMENT.task,
+    task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = PLACEMENT.task,
 ) -> None:
     """Record the demonstrations of a task; refuse to write unless all of them succeed."""
-    if task not in SCRIPTS:
-        raise typer.BadParameter(f"task must be one of {', '.join(SCRIPTS)}; got {task!r}")
+    if task not in TASKS:
+        raise typer.BadParameter(f"task must be one of {', '.join(TASKS)}; got {task!r}")
     out = out or Path("envs_assets/demonstrations") / f"{task}.npz"
     console = Console()
     try:
-        demonstrations = record(SCRIPTS[task], console)
+        if task in SCRIPTS:
+            demonstrations = record(SCRIPTS[task], console)
+        else:
+            import push_lift_demonstrations
+
+            demonstrations = push_lift_demonstrations.record(console)
     except RuntimeError as error:
         console.print(f"nothing written: {error}")
         raise typer.Exit(1) from error

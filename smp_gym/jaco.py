@@ -228,10 +228,14 @@ class Jaco:
         position = state.end_effector_position + hand.as_matrix() @ pose[:3, 3]
         return position, (hand * Rotation.from_matrix(np.array(pose[:3, :3]))).as_quat()
 
+    def put(self, configuration: Sequence[float]) -> None:
+        """Put the arm into a configuration (6,) rad, at rest; the fingers stay as they are."""
+        for joint, angle in zip(self._arm, configuration, strict=True):
+            pybullet.resetJointState(self._body, joint, angle, physicsClientId=self._client)
+
     def stretch(self) -> None:
         """Put the arm upright with the fingers open, where no part of it is near another."""
-        for joint, angle in zip(self._arm, _UPRIGHT, strict=True):
-            pybullet.resetJointState(self._body, joint, angle, physicsClientId=self._client)
+        self.put(_UPRIGHT)
         for joint in self._fingers:
             pybullet.resetJointState(self._body, joint, 0.0, physicsClientId=self._client)
 

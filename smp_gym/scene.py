@@ -8,9 +8,18 @@ table top (z = 0, z up); angles are radians; quaternions are (x, y, z, w).
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 __all__ = [
     "BIN_FLOOR_THICKNESS",
@@ -34,7 +43,7 @@ __all__ = [
     "goal_boxes",
 ]
 
-TASKS = ("Placement", "DoubleSidedPlacement")
+TASKS = ("Placement", "DoubleSidedPlacement", "PushLiftBox")
 """Names of the tasks, as they stand in the environment ids."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
@@ -117,10 +126,27 @@ class ManipulatedObject(_Frozen):
     Attributes:
         size: half-extents, m.
         mass: kg.
+        position: of its centre at the start, m; None where it is in the hand then.
+        yaw: its turn about the vertical at the start, rad; 0 where it is in the hand.
     """
 
     size: Size = (0.025, 0.025, 0.03)
     mass: Positive = 0.1
+    position: Vector3 | None = None
+    yaw: FiniteFloat = 0.0
+
+    @model_validator(mode="after")
+    def _pose_is_whole(self) -> ManipulatedObject:
+        if self.position is None and self.yaw != 0.0:
+            raise ValueError(f"yaw of an object without position must be 0, got {self.yaw}")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_absent_pose(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = handler(self)
+        if self.position is None:
+            del fields["position"], fields["yaw"]
+        return fields
 
 
 class Goal(_Frozen):
@@ -128,11 +154,11 @@ class Goal(_Frozen):
 
     Attributes:
         kind: "bin", an open box in which the object must come to rest, or "pad", a raised square
-            on which it must.
-        position: centre of the surface on which the object comes to rest, m.
+            on which it must; "lift", a point in the air to which the hand must bring it.
+        position: centre of the surface on which the object comes to rest, or that point, m.
     """
 
-    kind: Literal["bin", "pad"] = "bin"
+    kind: Literal["bin", "pad", "lift"] = "bin"
     position: Vector3
 
 
@@ -206,7 +232,11 @@ def _pad_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     return (Obstacle(shape="box", position=(x, y, z - half), size=size),)
 
 
-_BOXES = {"bin": _bin_boxes, "pad": _pad_boxes}
+def _no_boxes(goal: Goal) -> tuple[Obstacle, ...]:
+    return ()
+
+
+_BOXES = {"bin": _bin_boxes, "pad": _pad_boxes, "lift": _no_boxes}
 _BODY_NAMES = {"bin": ("bin",), "pad": ("pad_left", "pad_right")}
 
 
@@ -214,9 +244,13 @@ def goal_bodies(scene: Scene) -> dict[str, Goal]:
     """Return the bodies that the goals of a scene bring: their names, and the goals that they mark.
 
     A bin is called ``bin``; of two pads the first is called ``pad_left``, the second ``pad_right``.
+    A point in the air brings none.
     """
-    names = (_BODY_NAMES[goal.kind][number] for number, goal in enumerate(scene.goals))
-    return dict(zip(names, scene.goals, strict=True))
+    return {
+        _BODY_NAMES[goal.kind][number]: goal
+        for number, goal in enumerate(scene.goals)
+        if goal.kind in _BODY_NAMES
+    }
 
 
 def goal_boxes(goal: Goal) -> tuple[Obstacle, ...]:

@@ -33,9 +33,11 @@ _ORIGIN = (0.0, 0.0, 0.0)
 # Where bodies of goals wait, so deep and so far apart that they are near nothing.
 _PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
 _FAR_AWAY = (0.0, 0.0, 10.0)
+_IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 _CLOSING_STEPS = 30
 _SETTLING_STEPS = 20
+_STANDING_STEPS = 4
 _GRASP_TOLERANCE = 0.01
 # PyBullet never frees the shapes of bodies that were removed, a few kilobytes each.
 _SCENES_PER_WORLD = 500
@@ -64,7 +66,8 @@ class Workcell:
     """Plays scenes of one task.
 
     The start of an episode, the hand closed on the object, is settled once and restored from then
-    on, as long as scenes begin in the same configuration with the same object.
+    on, as long as scenes begin in the same configuration with the same object. Where the object
+    stands on the table, it is set down there for each scene anew.
 
     Args:
         task: whose scenes are played; it says which contacts they need.
@@ -100,16 +103,22 @@ class Workcell:
             ValueError: the hand cannot hold the object, or the scene begins with a collision.
         """
         manipulated = _manipulated(scene)
-        grasp = (scene.start, manipulated)
+        standing = manipulated.position is not None
+        grasp = _grasp(scene, manipulated)
         if grasp != self._grasp or self._scenes >= _SCENES_PER_WORLD:
             self._grasp = None
-            self._settle(scene, manipulated)
+            if standing:
+                self._furnish(scene, manipulated)
+            else:
+                self._settle(scene, manipulated)
             self._settled = self.world.snapshot()
             self._grasp, self._scenes = grasp, 0
         self._scenes += 1
         self._disperse(scene)
         self.world.restore(self._settled)
-        self.arm.set_reference(scene.start, 1.0)
+        self.arm.set_reference(scene.start, 0.0 if standing else 1.0)
+        if standing:
+            self._set_down(scene, manipulated)
         for name, goal in goal_bodies(scene).items():
             self.world.place(name, goal.position)
         for name, obstacle in zip(self.world.obstacles, scene.obstacles, strict=True):
@@ -156,8 +165,8 @@ class Workcell:
                 break
         self._measure()
 
-    def _settle(self, scene: Scene, manipulated: ManipulatedObject) -> None:
-        """Fill an empty world and let the hand close on the object."""
+    def _furnish(self, scene: Scene, manipulated: ManipulatedObject) -> None:
+        """Fill an empty world: the arm upright, the hand open, the object far away."""
         world = self.world
         world.clear()
         world.add_body("table", (TABLE,), color=_TABLE_COLOR)
@@ -166,7 +175,9 @@ class Workcell:
             world.add_body(name, boxes, color=_GOAL_COLORS[goal.kind], position=parking)
         self.arm = Jaco(world, assets.jaco_urdf(), scene.start)
         block = Obstacle(shape="box", position=_ORIGIN, size=manipulated.size)
-        position, quaternion = self.arm.carried(self._task.object_in_hand)
+        position, quaternion = np.array(_FAR_AWAY), np.array(_IDENTITY)
+        if manipulated.position is None:
+            position, quaternion = self.arm.carried(self._task.object_in_hand)
         world.add_body(
             "object",
             (block,),
@@ -177,6 +188,23 @@ class Workcell:
         )
         set_grip_friction(world, world.body("object"), -1)
         world.reserve_obstacles()
+
+    def _set_down(self, scene: Scene, manipulated: ManipulatedObject) -> None:
+        """Put the arm into its start and the object on the table, and let it come to rest."""
+        assert manipulated.position is not None
+        self.arm.put(scene.start)
+        half = manipulated.yaw / 2
+        quaternion = (0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+        self.world.place("object", manipulated.position, quaternion)
+        for _ in range(_STANDING_STEPS):
+            self.arm.track()
+            for _ in range(SUBSTEPS):
+                self.world.step()
+
+    def _settle(self, scene: Scene, manipulated: ManipulatedObject) -> None:
+        """Fill an empty world and let the hand close on the object."""
+        world = self.world
+        self._furnish(scene, manipulated)
         self.arm.set_reference(scene.start, 1.0)
         # Weightless until the fingers have closed on it, then let it hang.
         for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
@@ -234,6 +262,15 @@ class Workcell:
             calm_steps=self._calm_steps,
             collided=self.collision is not None,
         )
+
+
+def _grasp(
+    scene: Scene, manipulated: ManipulatedObject
+) -> tuple[tuple[float, ...], ManipulatedObject]:
+    """Return what of a scene its snapshot depends on; an object on the table is set down later."""
+    if manipulated.position is None:
+        return scene.start, manipulated
+    return (), manipulated.model_copy(update={"position": _ORIGIN, "yaw": 0.0})
 
 
 def _manipulated(scene: Scene) -> ManipulatedObject:

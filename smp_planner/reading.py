@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from smp_gym.kinematics import box_spheres, concatenate, end_effector_pose, finger_spheres
+from smp_gym.kinematics import (
+    arm_spheres,
+    box_spheres,
+    concatenate,
+    end_effector_pose,
+    finger_spheres,
+)
 from smp_gym.observation import DecodedObservation
-from smp_gym.scene import BIN_HEIGHT, Goal, fixtures
-from smp_planner.problem import GoalRegion, Problem
+from smp_gym.scene import BIN_HEIGHT, Goal, Obstacle, fixtures
+from smp_planner.grasping import Grasping, upright_pose
+from smp_planner.problem import GoalRegion, Problem, Stage, ViaPose
 
 __all__ = ["problem_from"]
 
@@ -20,6 +27,10 @@ higher up it would tip over."""
 
 RELEASE_HALF_WIDTH = 0.02
 """Half width of the square above the goal's middle in which the object's centre is let go, m."""
+
+
+LIFT_HALF_WIDTH = 0.01
+"""Half width of the cube about the target in which the lifted object's centre ends, m."""
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -49,7 +60,53 @@ def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalReg
     return GoalRegion(point, np.array(lower), np.array(upper))
 
 
-def problem_from(decoded: DecodedObservation, seed: int) -> Problem:
+def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping) -> Problem:
+    """Return the problem of grasping an object on the way and carrying it to a target.
+
+    Until the demonstrated contact begins, the object is an obstacle; then the hand may touch it;
+    once the hand has closed, it is carried, and may touch what it stands on.
+    """
+    size = decoded.object.size
+    turn = _rotation(decoded.object.quaternion)
+    yaw = float(np.arctan2(turn[1, 0], turn[0, 0]))
+    frame = upright_pose(decoded.object.position, yaw)
+    held = grasping.object_in_hand
+    arm, box = arm_spheres(), box_spheres(size, held)
+    opened = concatenate(arm, finger_spheres(decoded.robot.finger_angles))
+    fingers = finger_spheres(grasping.finger_angles)
+    x, y, z = frame[:3, 3].tolist()
+    block = Obstacle(
+        shape="box",
+        position=(x, y, z),
+        quaternion=(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))),
+        size=tuple(size.tolist()),
+    )
+    obstacles = decoded.scene.obstacles
+    solid = (*obstacles, *fixtures(decoded.scene))
+    contact, grasp = float(grasping.phases[0]), grasping.phase
+    target = np.array(decoded.scene.goals[0].position)
+    return Problem(
+        start=decoded.robot.reference,
+        obstacles=solid,
+        attached=concatenate(fingers, box),
+        goals=(GoalRegion(held[:3, 3], target - LIFT_HALF_WIDTH, target + LIFT_HALF_WIDTH),),
+        seed=seed,
+        via_poses=tuple(
+            ViaPose(float(phase), frame @ pose, rest=phase == grasp)
+            for phase, pose in zip(grasping.phases, grasping.poses, strict=True)
+        ),
+        stages=(
+            Stage(0.0, contact, opened, (*solid, block)),
+            Stage(contact, grasp, opened, solid),
+            Stage(grasp, 1.0, concatenate(arm, fingers), solid),
+            Stage(grasp, 1.0, box, obstacles),
+        ),
+    )
+
+
+def problem_from(
+    decoded: DecodedObservation, seed: int, *, grasping: Grasping | None = None
+) -> Problem:
     """Return the problem that one observation poses.
 
     The hand's fingers and the object are taken to move rigidly with the hand, as they do now.
@@ -57,7 +114,15 @@ def problem_from(decoded: DecodedObservation, seed: int) -> Problem:
     Args:
         decoded: what the observation says.
         seed: of the plan's randomness.
+        grasping: what demonstrations teach about a grasp on the way; see `learn_grasping`.
+
+    Raises:
+        ValueError: the task is to grasp an object, and `grasping` is None.
     """
+    if decoded.scene.goals[0].kind == "lift":
+        if grasping is None:
+            raise ValueError("grasping must be given where an object is to be grasped, got None")
+        return _grasping_problem(decoded, seed, grasping)
     hand = end_effector_pose(decoded.robot.configuration)
     object_pose = np.eye(4)
     object_pose[:3, :3] = _rotation(decoded.object.quaternion)

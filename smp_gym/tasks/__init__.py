@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from smp_gym.scene import TASKS, Scene
 from smp_gym.tasks.double_sided_placement import DoubleSidedPlacement
 from smp_gym.tasks.placement import Placement
+from smp_gym.tasks.push_lift_box import PushLiftBox
 from smp_gym.tasks.status import Status
 
 __all__ = ["Status", "Task", "make_task"]
@@ -37,7 +38,7 @@ class Task(Protocol):
 
     @property
     def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the object in the end-effector frame at the start."""
+        """(4, 4) pose of the object in the end-effector frame once the hand holds it."""
         ...
 
     def check_scene(self, scene: Scene) -> None:
@@ -95,7 +96,7 @@ def make_task(name: str) -> Task:
     Raises:
         ValueError: no such task.
     """
-    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement())
+    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement(), PushLiftBox())
     tasks = {task.name: task for task in known}
     if name not in tasks:
         raise ValueError(f"task must be one of {', '.join(TASKS)}; got {name!r}")
