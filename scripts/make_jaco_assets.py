@@ -23,6 +23,8 @@ from jaco_visuals import BODIES, obj
 from rich.console import Console
 from rich.table import Table
 
+from smp_gym.kinematics import PEN_END, PEN_RADIUS, PEN_TIP
+
 DEFAULT_OUT = Path(__file__).parents[1] / "envs_assets" / "jaco"
 
 PREFIX = "j2s6s200_"
@@ -73,6 +75,7 @@ class Link:
         cells: boxes that together contain the shapes; what is in one gets one sphere.
         visuals: names of the visual bodies and of their materials.
         meshes: names of the vendor's meshes.
+        color: material of the shapes themselves, where they are what is seen.
     """
 
     name: str
@@ -84,6 +87,7 @@ class Link:
     cells: tuple[Box, ...] = ()
     visuals: tuple[tuple[str, str], ...] = ()
     meshes: tuple[str, ...] = ()
+    color: str = ""
 
 
 def _slabs(axis: str, *cuts: float) -> tuple[Box, ...]:
@@ -391,7 +395,20 @@ SELF_COLLISION_LINKS: tuple[tuple[str, str], ...] = (
 out of each other's reach within the joint limits."""
 
 
+PEN = Link(
+    "pen",
+    Joint("joint_pen", "fixed", "link_6", (0.0, 0.0, -0.16), (_PI, _HALF_PI, 0.0)),
+    mass=0.02,
+    center_of_mass=((PEN_TIP[0] + PEN_END) / 2, 0.0, 0.0),
+    inertia=(1e-5, 5e-5, 5e-5),
+    shapes=(Cylinder("x", (0.0, 0.0), PEN_RADIUS, PEN_END, PEN_TIP[0]),),
+    color="pen",
+)
+"""The rod that the hand draws with, in the end-effector frame."""
+
+
 MATERIALS = {
+    "pen": (0.85, 0.18, 0.16, 1.0),
     "carbon": (0.2, 0.2, 0.22, 1.0),
     "ring": (0.78, 0.79, 0.81, 1.0),
     "finger": (0.55, 0.57, 0.62, 1.0),
@@ -401,7 +418,7 @@ MATERIALS = {
 
 def full_name(name: str) -> str:
     """Return the vendor's name of a link or joint."""
-    return name if name == "base" or name.startswith("jaco_") else PREFIX + name
+    return name if name in ("base", "pen") or name.startswith("jaco_") else PREFIX + name
 
 
 # Spheres
@@ -468,15 +485,20 @@ def _add_inertial(parent: ET.Element, link: Link) -> None:
     ET.SubElement(inertial, "inertia", ixx=ixx, ixy="0", ixz="0", iyy=iyy, iyz="0", izz=izz)
 
 
-def urdf() -> str:
-    """Return the text of `jaco.urdf`."""
+def urdf(*, pen: bool = False) -> str:
+    """Return the text of `jaco.urdf`, or with a pen of `jaco_pen.urdf`."""
     robot = ET.Element("robot", name="j2s6s200")
-    for name, rgba in MATERIALS.items():
+    links = (*LINKS, PEN) if pen else LINKS
+    used = {material for link in links for _, material in link.visuals} | {
+        link.color for link in links
+    }
+    for name in (name for name in MATERIALS if name in used):
+        rgba = MATERIALS[name]
         colored = ET.SubElement(robot, "material", name=name)
         ET.SubElement(colored, "color", rgba=_numbers(rgba))
     base = ET.SubElement(robot, "link", name="base")
     _add_inertial(base, Link("base", Joint("", "fixed", "", (0, 0, 0), (0, 0, 0))))
-    for link in LINKS:
+    for link in links:
         element = ET.SubElement(robot, "link", name=full_name(link.name))
         _add_inertial(element, link)
         for body, material in link.visuals:
@@ -486,6 +508,10 @@ def urdf() -> str:
             ET.SubElement(visual, "material", name=material)
         for shape in link.shapes:
             _add_shape(ET.SubElement(element, "collision"), shape)
+            if link.color:
+                visual = ET.SubElement(element, "visual")
+                _add_shape(visual, shape)
+                ET.SubElement(visual, "material", name=link.color)
         joint = link.joint
         element = ET.SubElement(robot, "joint", name=full_name(joint.name), type=joint.kind)
         ET.SubElement(element, "parent", link=full_name(joint.parent))
@@ -510,6 +536,7 @@ def write(directory: Path) -> None:
     visuals = directory / "visuals"
     visuals.mkdir(parents=True, exist_ok=True)
     (directory / "jaco.urdf").write_text(urdf(), encoding="utf-8")
+    (directory / "jaco_pen.urdf").write_text(urdf(pen=True), encoding="utf-8")
     (directory / "spheres.json").write_text(spheres_json(), encoding="utf-8")
     for name, body in BODIES.items():
         (visuals / f"{name}.obj").write_text(obj(body), encoding="utf-8")

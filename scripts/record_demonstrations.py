@@ -7,7 +7,9 @@ written unless every one of them ends in success.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -254,22 +256,29 @@ def main(
     task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = PLACEMENT.task,
 ) -> None:
     """Record the demonstrations of a task; refuse to write unless all of them succeed."""
-    if task not in TASKS:
-        raise typer.BadParameter(f"task must be one of {', '.join(TASKS)}; got {task!r}")
-    out = out or Path("envs_assets/demonstrations") / f"{task}.npz"
     console = Console()
+    out = out or Path(f"envs_assets/demonstrations/{task}.npz")
     try:
-        if task in SCRIPTS:
-            demonstrations = record(SCRIPTS[task], console)
-        else:
-            import push_lift_demonstrations
-
-            demonstrations = push_lift_demonstrations.record(console)
+        demonstrations = _recorder(task)(console)
     except RuntimeError as error:
         console.print(f"nothing written: {error}")
         raise typer.Exit(1) from error
     demonstrations.save(out)
     console.print(f"wrote {out}")
+
+
+def _recorder(task: str) -> Callable[[Console], Demonstrations]:
+    if task in SCRIPTS:
+        return partial(record, SCRIPTS[task])
+    if task == "DrawS":
+        import draw_s_demonstrations
+
+        return draw_s_demonstrations.record
+    if task == "PushLiftBox":
+        import push_lift_demonstrations
+
+        return push_lift_demonstrations.record
+    raise typer.BadParameter(f"task must be one of {', '.join(TASKS)}; got {task!r}")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,6 @@ def asset_path(*parts: str) -> Path:
     return Path(str(resources.files("envs_assets").joinpath(*parts)))
 
 
-def jaco_urdf() -> Path:
-    """Return the path of the arm's URDF."""
-    return asset_path("jaco", "jaco.urdf")
+def jaco_urdf(*, pen: bool = False) -> Path:
+    """Return the path of the arm's URDF, with or without a pen fixed to the hand."""
+    return asset_path("jaco", "jaco_pen.urdf" if pen else "jaco.urdf")

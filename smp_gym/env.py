@@ -280,7 +280,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         _ = self.scene
         if self.render_mode == "rgb_array":
-            return self._cell.world.picture(self._camera, self._width, self._height)
+            line = self._cell.status.trace
+            return self._cell.world.picture(self._camera, self._width, self._height, line)
         if self.render_mode == "human":
             now = time.monotonic()
             time.sleep(max(0.0, self._next_frame - now))

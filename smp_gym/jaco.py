@@ -29,8 +29,9 @@ FINGER_CLOSED = 1.51
 """rad; command to the proximal finger joints at gripper reference 1, their upper limit."""
 
 FINGER_LINKS = tuple(f"j2s6s200_link_finger_{part}" for part in ("1", "2", "tip_1", "tip_2"))
-HAND_LINKS = (LINKS[6], *FINGER_LINKS)
-"""Names of palm and fingers."""
+PEN_LINK = "pen"
+HAND_LINKS = (LINKS[6], *FINGER_LINKS, PEN_LINK)
+"""Names of palm, fingers and, where the hand has one, pen."""
 
 _ARM_JOINTS = tuple(f"j2s6s200_joint_{i}" for i in range(1, 7))
 _FINGER_JOINTS = tuple(f"j2s6s200_joint_finger_{part}" for part in ("1", "2", "tip_1", "tip_2"))
@@ -94,7 +95,7 @@ class Jaco:
         self._links = {
             name: link
             for link in range(-1, len(joints))
-            if (name := world.part(self._body, link)) in (*LINKS, *FINGER_LINKS)
+            if (name := world.part(self._body, link)) in (*LINKS, *FINGER_LINKS, PEN_LINK)
         }
         self._exclude_contacts()
         self._set_dynamics()
@@ -108,9 +109,9 @@ class Jaco:
         pairs = kinematics.self_collision_pairs(spheres)
         apart = {frozenset(pair) for pair in spheres.link[pairs].tolist()}
         for first, second in combinations(self._links, 2):
-            fingers = {first, second} & set(FINGER_LINKS)
-            a = LINKS[6] if first in FINGER_LINKS else first
-            b = LINKS[6] if second in FINGER_LINKS else second
+            fingers = {first, second} & {*FINGER_LINKS, PEN_LINK}
+            a = LINKS[6] if first in HAND_LINKS else first
+            b = LINKS[6] if second in HAND_LINKS else second
             across = len(fingers) == 2 and first[-1] != second[-1]
             if across or frozenset((LINKS.index(a), LINKS.index(b))) in apart:
                 continue
@@ -134,7 +135,7 @@ class Jaco:
                 jointDamping=0.0,
                 physicsClientId=self._client,
             )
-        for name in HAND_LINKS:
+        for name in (name for name in HAND_LINKS if name in self._links):
             set_grip_friction(self._world, self._body, self._links[name])
         # The fingers are driven together: the object stays where the hand closed on it.
         gear = pybullet.createConstraint(
@@ -227,6 +228,29 @@ class Jaco:
         hand = Rotation.from_quat(state.end_effector_quaternion)
         position = state.end_effector_position + hand.as_matrix() @ pose[:3, 3]
         return position, (hand * Rotation.from_matrix(np.array(pose[:3, :3]))).as_quat()
+
+    def motion(
+        self, pose: NDArray[np.floating[Any]]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return where something fixed to the hand is and how it moves.
+
+        Args:
+            pose: (4, 4) its pose in the end-effector frame.
+
+        Returns:
+            Position (3,) m and quaternion (4,), linear velocity (3,) m/s and angular velocity (3,)
+            rad/s, in the base frame.
+        """
+        position, quaternion = self.carried(pose)
+        link = pybullet.getLinkState(
+            self._body,
+            self._end_effector,
+            computeLinkVelocity=True,
+            computeForwardKinematics=True,
+            physicsClientId=self._client,
+        )
+        origin, linear, angular = (np.array(link[i]) for i in (4, 6, 7))
+        return position, quaternion, linear + np.cross(angular, position - origin), angular
 
     def put(self, configuration: Sequence[float]) -> None:
         """Put the arm into a configuration (6,) rad, at rest; the fingers stay as they are."""

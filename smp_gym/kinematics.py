@@ -29,6 +29,9 @@ __all__ = [
     "JOINT_UPPER",
     "JOINT_VELOCITY",
     "LINKS",
+    "PEN_END",
+    "PEN_RADIUS",
+    "PEN_TIP",
     "SphereSet",
     "UnreachableError",
     "arm_spheres",
@@ -38,6 +41,7 @@ __all__ = [
     "finger_spheres",
     "inverse_kinematics",
     "link_transforms",
+    "pen_spheres",
     "self_collision_pairs",
     "sphere_centers",
 ]
@@ -105,6 +109,13 @@ END_EFFECTOR = _constant(_pose((0.0, 0.0, -0.16), (np.pi, np.pi / 2, 0.0)))
 
 GRASP_CENTER = _constant([0.022, 0.0, 0.0])
 """(3,) m, middle between the finger pads, in the end-effector frame."""
+
+PEN_TIP = _constant([0.14, 0.0, 0.0])
+"""(3,) m, point of the pen in the end-effector frame; the pen lies on the frame's x axis."""
+
+PEN_END = -0.02
+PEN_RADIUS = 0.006
+"""Metres: where the pen's other end lies on that axis, and how thick it is."""
 
 _FINGER_TILT = 0.649262481663582
 FINGER_JOINT_ORIGINS = _constant(
@@ -287,6 +298,17 @@ def box_spheres(half_extents: ArrayLike, pose: ArrayLike) -> SphereSet:
     inner = (np.abs(points) < half - radius).all(axis=1)
     center = center[~inner]
     return SphereSet(np.full(len(center), _HAND), center, np.full(len(center), radius))
+
+
+@cache
+def pen_spheres() -> SphereSet:
+    """Return the spheres of the pen that the hand draws with; they cover it."""
+    count = 12
+    step = (float(PEN_TIP[0]) - PEN_END) / count
+    along = PEN_END + step * (np.arange(count) + 0.5)
+    center = along[:, None] * END_EFFECTOR[:3, 0] + END_EFFECTOR[:3, 3]
+    radius = np.full(count, np.hypot(step / 2, PEN_RADIUS))
+    return SphereSet(np.full(count, _HAND), center, radius)
 
 
 def self_collision_pairs(spheres: SphereSet) -> IntArray:

@@ -17,7 +17,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from smp_gym.scene import MAX_OBSTACLES, SHAPES, Goal, ManipulatedObject, Obstacle, Scene
+from smp_gym.scene import (
+    MAX_OBSTACLES,
+    SHAPES,
+    STROKE_POINTS,
+    Goal,
+    ManipulatedObject,
+    Obstacle,
+    Scene,
+)
 
 __all__ = [
     "CONTROL_PERIOD",
@@ -72,7 +80,10 @@ STATE_LAYOUT = (
     Field("object_size", 3, 0.0, 1.0),
     Field("elapsed", 1, 0.0, 1.0),
 )
-"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`."""
+"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`.
+
+In tasks without an object, the object's entries are those of the pen's tip, its size the pen's
+radius."""
 
 OBSTACLE_LAYOUT = (
     Field("present", 1, 0.0, 1.0),
@@ -98,13 +109,21 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
         Field("released", 1, 0.0, 1.0),
         Field("at_rest", 1, 0.0, 1.0),
     ),
+    "DrawS": (
+        Field("stroke", 3 * STROKE_POINTS, -5.0, 5.0),
+        Field("demanded", STROKE_POINTS, 0.0, 1.0),
+        Field("collided", 1, 0.0, 1.0),
+    ),
     "PushLiftBox": (
         Field("object_position", 3, -5.0, 5.0),
         Field("collided", 1, 0.0, 1.0),
         Field("held", 1, 0.0, 1.0),
     ),
 }
-"""``achieved_goal`` and ``desired_goal`` of each task; a flag of 1 in the latter is demanded."""
+"""``achieved_goal`` and ``desired_goal`` of each task; a flag of 1 in the latter is demanded.
+
+``stroke`` holds points (x, y, z) at equal steps of arc, of what the pen has drawn so far or shall
+draw; ``demanded`` says which of the latter count, and is 1 throughout in what was drawn."""
 
 Array = NDArray[np.float64]
 Observation = dict[str, NDArray[np.float32]]
@@ -153,7 +172,7 @@ class DecodedObservation:
     Attributes:
         scene: obstacles, goals and object; its start is the *present* configuration.
         robot: state of arm and gripper.
-        object: state of the manipulated object.
+        object: state of the manipulated object, or of the pen's tip.
         elapsed_steps: environment steps since the episode began; 0 in its first observation.
         collided: whether a forbidden contact has happened.
     """
@@ -252,6 +271,20 @@ def _double_sided_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal
     return tuple(goals)
 
 
+def _stroke_demanded(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal of a task that draws."""
+    stroke = scene.goals[0]
+    demanded = [float(flag) for flag in stroke.demanded]
+    return {"stroke": np.ravel(stroke.checkpoints), "demanded": demanded, "collided": 0.0}
+
+
+def _stroke_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]:
+    """Return the goals that `_stroke_demanded` encoded."""
+    points = tuple((x, y, z) for x, y, z in desired["stroke"].reshape(-1, 3).tolist())
+    demanded = tuple(bool(flag > 0.5) for flag in desired["demanded"])
+    return (Goal(kind="stroke", position=points[-1], checkpoints=points, demanded=demanded),)
+
+
 def _lift_demanded(scene: Scene) -> dict[str, Any]:
     """Return the desired goal of a task that holds an object up: where its centre shall be."""
     return {"object_position": scene.goals[0].position, "collided": 0.0, "held": 1.0}
@@ -266,13 +299,16 @@ def _lift_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]:
 _DEMANDED = {
     "Placement": _place_demanded,
     "DoubleSidedPlacement": _double_sided_demanded,
+    "DrawS": _stroke_demanded,
     "PushLiftBox": _lift_demanded,
 }
 _GOALS = {
     "Placement": _place_goals,
     "DoubleSidedPlacement": _double_sided_goals,
+    "DrawS": _stroke_goals,
     "PushLiftBox": _lift_goals,
 }
+_WITHOUT_OBJECT = frozenset({"DrawS"})
 
 
 def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
@@ -409,7 +445,9 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     scene = Scene(
         task=task,
         start=tuple(state["configuration"].tolist()),
-        manipulated=ManipulatedObject(size=tuple(size.tolist())),
+        manipulated=None
+        if task in _WITHOUT_OBJECT
+        else ManipulatedObject(size=tuple(size.tolist())),
         goals=_GOALS[task](desired, size),
         obstacles=_decode_obstacles(vectors["obstacles"]),
     )

@@ -32,6 +32,7 @@ __all__ = [
     "PAD_DEPTH",
     "PAD_HALF_WIDTH",
     "SHAPES",
+    "STROKE_POINTS",
     "TABLE",
     "TASKS",
     "Goal",
@@ -43,7 +44,7 @@ __all__ = [
     "goal_boxes",
 ]
 
-TASKS = ("Placement", "DoubleSidedPlacement", "PushLiftBox")
+TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
 """Names of the tasks, as they stand in the environment ids."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
@@ -68,6 +69,10 @@ PAD_HALF_WIDTH = 0.07
 PAD_DEPTH = 0.2
 """A pad of DoubleSidedPlacement, a square column, m. It reaches `PAD_DEPTH` down from its surface
 and stands in the table with its lower end, so that pads of all heights are one shape."""
+
+
+STROKE_POINTS = 32
+"""Checkpoints of a stroke, at equal steps of its arc, first and last point included."""
 
 
 def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -150,16 +155,44 @@ class ManipulatedObject(_Frozen):
 
 
 class Goal(_Frozen):
-    """Where the object shall end.
+    """Where the object shall end, or what the pen shall draw.
 
     Attributes:
-        kind: "bin", an open box in which the object must come to rest, or "pad", a raised square
-            on which it must; "lift", a point in the air to which the hand must bring it.
-        position: centre of the surface on which the object comes to rest, or that point, m.
+        kind: "bin", an open box in which the object must come to rest; "pad", a raised square on
+            which it must; "stroke", a line in space that the pen must follow; "lift", a point in
+            the air to which the hand must bring the object.
+        position: centre of the surface on which the object comes to rest, end of the stroke, or
+            that point, m.
+        checkpoints: `STROKE_POINTS` points of a stroke, the last of which is `position`, m.
+        demanded: which of these the pen must pass, the last always; others an obstacle covers.
     """
 
-    kind: Literal["bin", "pad", "lift"] = "bin"
+    kind: Literal["bin", "pad", "stroke", "lift"] = "bin"
     position: Vector3
+    checkpoints: tuple[Vector3, ...] = ()
+    demanded: tuple[bool, ...] = ()
+
+    @model_validator(mode="after")
+    def _stroke_is_whole(self) -> Goal:
+        count = STROKE_POINTS if self.kind == "stroke" else 0
+        for name in ("checkpoints", "demanded"):
+            if len(getattr(self, name)) != count:
+                raise ValueError(
+                    f"{name} of a {self.kind} must be {count}, got {len(getattr(self, name))}"
+                )
+        if count and self.checkpoints[-1] != self.position:
+            raise ValueError(
+                f"position of a stroke must be its last checkpoint {self.checkpoints[-1]}, "
+                f"got {self.position}"
+            )
+        if count and not self.demanded[-1]:
+            raise ValueError("demanded must be True for the last checkpoint, got False")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_empty_fields(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = handler(self)
+        return {name: value for name, value in fields.items() if value != () and value != []}
 
 
 class Scene(_Frozen):
@@ -232,11 +265,7 @@ def _pad_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     return (Obstacle(shape="box", position=(x, y, z - half), size=size),)
 
 
-def _no_boxes(goal: Goal) -> tuple[Obstacle, ...]:
-    return ()
-
-
-_BOXES = {"bin": _bin_boxes, "pad": _pad_boxes, "lift": _no_boxes}
+_BOXES = {"bin": _bin_boxes, "pad": _pad_boxes}
 _BODY_NAMES = {"bin": ("bin",), "pad": ("pad_left", "pad_right")}
 
 
@@ -244,18 +273,16 @@ def goal_bodies(scene: Scene) -> dict[str, Goal]:
     """Return the bodies that the goals of a scene bring: their names, and the goals that they mark.
 
     A bin is called ``bin``; of two pads the first is called ``pad_left``, the second ``pad_right``.
-    A point in the air brings none.
+    A stroke or a point in the air brings none.
     """
-    return {
-        _BODY_NAMES[goal.kind][number]: goal
-        for number, goal in enumerate(scene.goals)
-        if goal.kind in _BODY_NAMES
-    }
+    goals = [goal for goal in scene.goals if goal.kind in _BODY_NAMES]
+    names = (_BODY_NAMES[goal.kind][number] for number, goal in enumerate(goals))
+    return dict(zip(names, goals, strict=True))
 
 
 def goal_boxes(goal: Goal) -> tuple[Obstacle, ...]:
-    """Return the boxes that make up the body of a goal."""
-    return _BOXES[goal.kind](goal)
+    """Return the boxes that make up the body of a goal; a stroke or a point in the air has none."""
+    return _BOXES[goal.kind](goal) if goal.kind in _BOXES else ()
 
 
 def fixtures(scene: Scene) -> tuple[Obstacle, ...]:

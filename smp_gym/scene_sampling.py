@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,7 +246,7 @@ class _Push:
 
     Attributes:
         phases: of its begin, the hand behind the object, and of its end, the hand closing.
-        spheres: as `_Task.spheres`, which hold until it ends, but with the fingers closed and the
+        spheres: as `_Body.spheres`, which hold until it ends, but with the fingers closed and the
             object between them. Before, the object's spheres rest within the palm.
         configurations: (K, 6) rad, at equal steps of its way.
         object_path: (K, 1, 3) m, where the object's centre is meanwhile.
@@ -280,46 +280,25 @@ class _Push:
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """What sampling needs to know of a task; built once per process.
+class _Body:
+    """The demonstrated movements, and the body that moves; built once per process.
 
     Attributes:
         demonstrations: (N, T, 6) rad.
-        start: (6,) rad.
-        spheres: arm, fingers and held object.
+        spheres: arm, fingers and what the hand holds.
         moving: index of the spheres that could touch the table.
         swept: index of the spheres that the family is compared by: those but for the fingers, which
             lie between palm and object.
         pairs: (P, 2) spheres that may not touch each other.
-        release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
-        release_height: m, of the object's centre over the goal there.
-        nominal_goal: (3,) m, mean goal of the demonstrations.
-        held: (4, 4) pose of the held object in the end-effector frame.
         push: what comes before the hand holds the object, if it does not from the start.
-        samples: of each member of a family.
-        wide: how many wide detours are drawn.
-        widest: up to so many times as wide as ordinary ones.
     """
 
     demonstrations: FloatArray
-    start: FloatArray
     spheres: kinematics.SphereSet
     moving: NDArray[np.int64]
     swept: NDArray[np.int64]
     pairs: NDArray[np.int64]
-    release_rotation: FloatArray
-    release_height: float
-    nominal_goal: FloatArray
-    held: FloatArray
-    push: _Push | None = None
-    samples: int = _FAMILY_SAMPLES
-    wide: int = _WIDE
-    widest: float = _WIDEST
-
-    @property
-    def pins(self) -> tuple[float, ...]:
-        """Phases at which detours are zero."""
-        return (0.0, 1.0) if self.push is None else (0.0, *self.push.phases, 1.0)
+    push: _Push | None = field(default=None, kw_only=True)
 
     def paths(self, trajectories: FloatArray, which: NDArray[np.int64] | None = None) -> FloatArray:
         """Return (N, T, S, 3) m, centres of spheres (all, or the given) along trajectories."""
@@ -344,6 +323,36 @@ class _Task:
             flat, kinematics.BASE_TRANSFORM, kinematics.JOINT_ORIGINS, link, center
         )
         return centers.reshape(*trajectories.shape[:-1], len(link), 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task(_Body):
+    """What sampling needs to know of a task that sets an object down or lifts it.
+
+    Attributes:
+        start: (6,) rad.
+        release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
+        release_height: m, of the object's centre over the goal there.
+        nominal_goal: (3,) m, mean goal of the demonstrations.
+        held: (4, 4) pose of the held object in the end-effector frame.
+        samples: of each member of a family.
+        wide: how many wide detours are drawn.
+        widest: up to so many times as wide as ordinary ones.
+    """
+
+    start: FloatArray
+    release_rotation: FloatArray
+    release_height: float
+    nominal_goal: FloatArray
+    held: FloatArray
+    samples: int = _FAMILY_SAMPLES
+    wide: int = _WIDE
+    widest: float = _WIDEST
+
+    @property
+    def pins(self) -> tuple[float, ...]:
+        """Phases at which detours are zero."""
+        return (0.0, 1.0) if self.push is None else (0.0, *self.push.phases, 1.0)
 
 
 @functools.lru_cache(maxsize=1)
@@ -687,7 +696,7 @@ def _within_limits(trajectories: FloatArray) -> BoolArray:
 
 
 def _is_witness(
-    task: _Task, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
+    task: _Body, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
 ) -> bool:
     """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`."""
     if not _within_limits(trajectory):
@@ -1055,6 +1064,11 @@ def sample_with_witness(
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
     rng = np.random.Generator(np.random.PCG64(_seed_sequence(task, difficulty, seed, version)))
+    if task == "DrawS":
+        # It builds on this module.
+        from smp_gym import stroke_sampling
+
+        return stroke_sampling.sample(SPECIFICATIONS[difficulty], rng, difficulty, seed, version)
     for _ in range(_MAX_DRAWS):
         drawn = _DRAWS[task](difficulty, rng)
         if drawn is not None:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from smp_gym import assets
 from smp_gym.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
-from smp_gym.kinematics import LINKS
+from smp_gym.kinematics import LINKS, PEN_RADIUS
 from smp_gym.observation import CONTROL_PERIOD, ObjectState, RobotState
 from smp_gym.scene import TABLE, ManipulatedObject, Obstacle, Scene, goal_bodies, goal_boxes
 from smp_gym.tasks import Status, Task
+from smp_gym.tasks.draw_s import PEN_CONFIGURATION
 from smp_gym.tasks.status import CALM_SPEED
 from smp_gym.world import PHYSICS_PERIOD, BulletWorld, Contact
 
@@ -77,11 +78,12 @@ class Workcell:
         world: the physics.
         arm: the arm in it, once a scene was loaded.
         robot: measured state of the arm.
-        manipulated: measured state of the object.
+        manipulated: measured state of the object, or of the pen's tip.
         status: what the task is told.
         collision: names of the two parts of the first forbidden contact, or None.
         clearance: m, the least distance so far of arm or held object to an obstacle, at most
             `CLEARANCE_LIMIT`.
+        trace: (3,) m each, where the pen's tip was at the start and after each step.
     """
 
     arm: Jaco
@@ -92,7 +94,7 @@ class Workcell:
     def __init__(self, task: Task, *, gui: bool = False) -> None:
         self.world = BulletWorld(gui=gui)
         self._task = task
-        self._grasp: tuple[tuple[float, ...], ManipulatedObject] | None = None
+        self._grasp: tuple[tuple[float, ...], ManipulatedObject | None] | None = None
         self._settled = -1
         self._scenes = 0
 
@@ -102,22 +104,23 @@ class Workcell:
         Raises:
             ValueError: the hand cannot hold the object, or the scene begins with a collision.
         """
-        manipulated = _manipulated(scene)
-        standing = manipulated.position is not None
-        grasp = _grasp(scene, manipulated)
+        manipulated = scene.manipulated
+        grasp = _grasp(scene)
         if grasp != self._grasp or self._scenes >= _SCENES_PER_WORLD:
             self._grasp = None
-            if standing:
-                self._furnish(scene, manipulated)
-            else:
+            self._furnish(scene, manipulated)
+            if manipulated is None or manipulated.position is None:
                 self._settle(scene, manipulated)
             self._settled = self.world.snapshot()
             self._grasp, self._scenes = grasp, 0
         self._scenes += 1
         self._disperse(scene)
         self.world.restore(self._settled)
+        if manipulated is None:
+            self.arm.put(scene.start)
+        standing = manipulated is not None and manipulated.position is not None
         self.arm.set_reference(scene.start, 0.0 if standing else 1.0)
-        if standing:
+        if manipulated is not None and standing:
             self._set_down(scene, manipulated)
         for name, goal in goal_bodies(scene).items():
             self.world.place(name, goal.position)
@@ -126,7 +129,9 @@ class Workcell:
         self.world.detect_contacts()
         self.collision: Contact | None = None
         self.clearance = CLEARANCE_LIMIT
-        self._size = np.array(manipulated.size)
+        self._pen = manipulated is None
+        self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
+        self.trace: list[FloatArray] = []
         self._calm_steps = 0
         self._squeezing = True
         self._contacts: set[Contact] = set()
@@ -143,7 +148,8 @@ class Workcell:
         self.world.set_obstacles(scene.obstacles)
         for name, parking in zip(goal_bodies(scene), _PARKING, strict=False):
             self.world.place(name, parking)
-        self.world.place("object", _FAR_AWAY)
+        if scene.manipulated is not None:
+            self.world.place("object", _FAR_AWAY)
         self.arm.stretch()
         # The engine drops pairs that have come apart a few at a time.
         for _ in range(_DISPERSALS):
@@ -165,14 +171,18 @@ class Workcell:
                 break
         self._measure()
 
-    def _furnish(self, scene: Scene, manipulated: ManipulatedObject) -> None:
-        """Fill an empty world: the arm upright, the hand open, the object far away."""
+    def _furnish(self, scene: Scene, manipulated: ManipulatedObject | None) -> None:
+        """Fill an empty world: hand open, the object in it, or far away if it is set down later."""
         world = self.world
         world.clear()
         world.add_body("table", (TABLE,), color=_TABLE_COLOR)
         for (name, goal), parking in zip(goal_bodies(scene).items(), _PARKING, strict=False):
             boxes = goal_boxes(goal.model_copy(update={"position": _ORIGIN}))
             world.add_body(name, boxes, color=_GOAL_COLORS[goal.kind], position=parking)
+        if manipulated is None:
+            self.arm = Jaco(world, assets.jaco_urdf(pen=True), PEN_CONFIGURATION)
+            world.reserve_obstacles()
+            return
         self.arm = Jaco(world, assets.jaco_urdf(), scene.start)
         block = Obstacle(shape="box", position=_ORIGIN, size=manipulated.size)
         position, quaternion = np.array(_FAR_AWAY), np.array(_IDENTITY)
@@ -201,25 +211,28 @@ class Workcell:
             for _ in range(SUBSTEPS):
                 self.world.step()
 
-    def _settle(self, scene: Scene, manipulated: ManipulatedObject) -> None:
-        """Fill an empty world and let the hand close on the object."""
-        world = self.world
-        self._furnish(scene, manipulated)
-        self.arm.set_reference(scene.start, 1.0)
-        # Weightless until the fingers have closed on it, then let it hang.
-        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
-            world.set_gravity(gravity)
-            for _ in range(steps):
-                self.arm.track()
-                for _ in range(SUBSTEPS):
-                    world.step()
+    def _settle(self, scene: Scene, manipulated: ManipulatedObject | None) -> None:
+        """Let the hand close on the object or the pen."""
+        self.arm.set_reference(scene.start if manipulated else PEN_CONFIGURATION, 1.0)
+        self._close_hand()
+        if manipulated is None:
+            return
         expected, _ = self.arm.carried(self._task.object_in_hand)
-        slip = float(np.linalg.norm(world.pose("object")[0] - expected))
+        slip = float(np.linalg.norm(self.world.pose("object")[0] - expected))
         if slip > _GRASP_TOLERANCE:
             raise ValueError(
                 f"the hand cannot hold an object of half-extents {manipulated.size} m and "
                 f"{manipulated.mass} kg in the configuration {scene.start}"
             )
+
+    def _close_hand(self) -> None:
+        # Weightless until the fingers have closed on what they hold, then let it hang.
+        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
+            self.world.set_gravity(gravity)
+            for _ in range(steps):
+                self.arm.track()
+                for _ in range(SUBSTEPS):
+                    self.world.step()
 
     def _collides(self) -> bool:
         """Look for a forbidden contact, remember the first, and return whether there is one."""
@@ -247,8 +260,12 @@ class Workcell:
     def _measure(self) -> None:
         world = self.world
         self.robot = self.arm.state()
-        position, quaternion = world.pose("object")
-        linear, angular = world.velocity("object")
+        if self._pen:
+            position, quaternion, linear, angular = self.arm.motion(self._task.object_in_hand)
+            self.trace.append(position)
+        else:
+            position, quaternion = world.pose("object")
+            linear, angular = world.velocity("object")
         self.manipulated = ObjectState(position, quaternion, linear, angular, self._size)
         touching, held = self._touching_object(), self._held()
         still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in touching
@@ -261,19 +278,19 @@ class Workcell:
             held=held,
             calm_steps=self._calm_steps,
             collided=self.collision is not None,
+            trace=np.array(self.trace).reshape(-1, 3),
         )
 
 
-def _grasp(
-    scene: Scene, manipulated: ManipulatedObject
-) -> tuple[tuple[float, ...], ManipulatedObject]:
-    """Return what of a scene its snapshot depends on; an object on the table is set down later."""
+def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:
+    """Return what of a scene its snapshot depends on.
+
+    A pen, being fixed to the hand, is held alike wherever the episode begins; an object on the
+    table is set down later.
+    """
+    manipulated = scene.manipulated
+    if manipulated is None:
+        return PEN_CONFIGURATION, None
     if manipulated.position is None:
         return scene.start, manipulated
     return (), manipulated.model_copy(update={"position": _ORIGIN, "yaw": 0.0})
-
-
-def _manipulated(scene: Scene) -> ManipulatedObject:
-    if scene.manipulated is None:
-        raise ValueError("scene.manipulated must be an object, got None")
-    return scene.manipulated

@@ -51,6 +51,13 @@ _GEOMETRIES = {
     "cylinder": pybullet.GEOM_CYLINDER,
     "sphere": pybullet.GEOM_SPHERE,
 }
+_LINE_COLOR = (28, 63, 170)
+_LINE_WIDTH = 0.008
+_LINE_SUBDIVISION = 16
+_DEPTH_SLACK = 1e-4
+"""A drawn line: red, green and blue; width as a share of the picture's height; steps between two of
+its points; what rounding may take from its depth."""
+
 _PARKING_HEIGHT = -20.0
 _SPECK = Obstacle(shape="sphere", position=_ORIGIN, size=(0.01, 0.01, 0.01))
 _SKY_COLOR = (
@@ -75,6 +82,29 @@ class Camera:
     yaw: float = 0.0
     pitch: float = -30.0
     field_of_view: float = 45.0
+
+
+def _draw_line(
+    image: NDArray[np.uint8], depth: NDArray[Any], matrix: FloatArray, line: FloatArray
+) -> None:
+    """Draw a line in space into an image (H, W, 4), where nothing in the depth buffer is nearer."""
+    height, width = depth.shape
+    ends = np.column_stack([line, np.ones(len(line))]) @ matrix.T
+    share = np.linspace(0.0, 1.0, _LINE_SUBDIVISION, endpoint=False)[:, None]
+    points = (ends[:-1, None] + share * (ends[1:, None] - ends[:-1, None])).reshape(-1, 4)
+    points = points[points[:, 3] > 0.0]
+    place = points[:, :3] / points[:, 3:]
+    column = np.rint((place[:, 0] + 1.0) / 2 * width - 0.5).astype(np.int64)
+    row = np.rint((1.0 - place[:, 1]) / 2 * height - 0.5).astype(np.int64)
+    near = (place[:, 2] + 1.0) / 2
+    half = max(1, round(height * _LINE_WIDTH / 2))
+    for down in range(-half, half + 1):
+        for right in range(-half, half + 1):
+            r, c = row + down, column + right
+            seen = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+            r, c = r[seen], c[seen]
+            front = near[seen] <= depth[r, c] + _DEPTH_SLACK
+            image[r[front], c[front], :3] = _LINE_COLOR
 
 
 def _disconnect(client: int) -> None:
@@ -317,15 +347,25 @@ class BulletWorld:
 
     # Pictures
 
-    def picture(self, camera: Camera, width: int, height: int) -> NDArray[np.uint8]:
-        """Return a picture of the world, (height, width, 3), computed without a graphics card."""
+    def picture(
+        self, camera: Camera, width: int, height: int, line: FloatArray | None = None
+    ) -> NDArray[np.uint8]:
+        """Return a picture of the world, (height, width, 3), computed without a graphics card.
+
+        Args:
+            camera: where it is taken from.
+            width: pixels.
+            height: pixels.
+            line: (M, 3) m, drawn into the picture where no body hides it; no body of its own, so
+                that it leaves physics and snapshots alone.
+        """
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             camera.target, camera.distance, camera.yaw, camera.pitch, 0.0, 2
         )
         projection = pybullet.computeProjectionMatrixFOV(
             camera.field_of_view, width / height, 0.05, 10.0
         )
-        pixels = pybullet.getCameraImage(
+        _, _, pixels, depth, _ = pybullet.getCameraImage(
             width,
             height,
             view,
@@ -339,8 +379,11 @@ class BulletWorld:
             renderer=pybullet.ER_TINY_RENDERER,
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
             physicsClientId=self.client,
-        )[2]
-        image = np.asarray(pixels, np.uint8).reshape(height, width, 4)
+        )
+        image = np.array(pixels, np.uint8).reshape(height, width, 4)
+        if line is not None and len(line) > 1:
+            matrix = np.array(projection).reshape(4, 4).T @ np.array(view).reshape(4, 4).T
+            _draw_line(image, np.asarray(depth).reshape(height, width), matrix, line)
         return np.ascontiguousarray(image[:, :, :3])
 
     def look(self, camera: Camera) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smp_gym.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 
-__all__ = ["GoalRegion", "Plan", "Planner", "Problem", "Stage", "ViaPose"]
+__all__ = ["GoalRegion", "Plan", "Planner", "Problem", "Stage", "ViaPoint", "ViaPose"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -103,6 +103,32 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class ViaPoint:
+    """A place that a point carried by the hand must pass at about a phase.
+
+    Attributes:
+        phase: in [0, 1].
+        point: (3,) m, fixed in the end-effector frame (for DrawS, the pen's tip).
+        position: (3,) m, of the place in the base frame.
+        tolerance: m, how near the point must come.
+    """
+
+    phase: float
+    point: FloatArray
+    position: FloatArray
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        for name in ("point", "position"):
+            value = _checked(f"ViaPoint.{name}", getattr(self, name), (3,))
+            object.__setattr__(self, name, value)
+        if not 0.0 <= self.phase <= 1.0:
+            raise ValueError(f"ViaPoint.phase must lie in [0, 1], got {self.phase}")
+        if not self.tolerance > 0.0:
+            raise ValueError(f"ViaPoint.tolerance must be positive, got {self.tolerance}")
+
+
+@dataclass(frozen=True)
 class Problem:
     """One scene to plan in.
 
@@ -112,6 +138,7 @@ class Problem:
         attached: spheres that move rigidly with the last link: fingers and held object.
         goals: at least one region; ending in any of them will do.
         seed: from which all randomness of the plan is drawn.
+        via_points: to be passed on the way, in the order of their phases.
         via_poses: poses on the way, in the order of their phases.
         stages: what must stay clear of what at which phases, where that changes on the way; empty
             if the arm with all that is attached must stay clear of all obstacles throughout.
@@ -122,6 +149,7 @@ class Problem:
     attached: SphereSet
     goals: tuple[GoalRegion, ...]
     seed: int
+    via_points: tuple[ViaPoint, ...] = ()
     via_poses: tuple[ViaPose, ...] = ()
     stages: tuple[Stage, ...] = ()
 
@@ -149,6 +177,7 @@ class Plan:
         message: empty, or why no particle is good.
         components: (P,) index of the component of the prior that each particle belongs to; None
             where there is but one.
+        passing: (P,) whether all via-points are passed; where there are none, True.
     """
 
     weights: FloatArray
@@ -163,11 +192,12 @@ class Plan:
     timings: Mapping[str, float] = field(default_factory=dict)
     message: str = ""
     components: NDArray[np.int64] | None = None
+    passing: BoolArray = field(default_factory=lambda: np.ones(1, np.bool_))
 
     @property
     def good(self) -> BoolArray:
-        """(P,) whether a particle is collision-free and executable."""
-        return self.collision_free & self.executable
+        """(P,) whether a particle is collision-free, executable and passes all via-points."""
+        return self.collision_free & self.executable & self.passing
 
     @property
     def planning_time(self) -> float:

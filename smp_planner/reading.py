@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import (
+    PEN_TIP,
     arm_spheres,
     box_spheres,
     concatenate,
     end_effector_pose,
     finger_spheres,
+    pen_spheres,
 )
 from smp_gym.observation import DecodedObservation
-from smp_gym.scene import BIN_HEIGHT, Goal, Obstacle, fixtures
+from smp_gym.scene import BIN_HEIGHT, STROKE_POINTS, Goal, Obstacle, fixtures
 from smp_planner.grasping import Grasping, upright_pose
-from smp_planner.problem import GoalRegion, Problem, Stage, ViaPose
+from smp_planner.problem import GoalRegion, Problem, Stage, ViaPoint, ViaPose
 
-__all__ = ["problem_from"]
+__all__ = ["checkpoint_phases", "problem_from"]
 
 RELEASE_HEIGHT = (0.005, 0.035)
 """Least and greatest height of the object's lowest point above the rim when it is let go, m."""
@@ -28,6 +31,12 @@ higher up it would tip over."""
 RELEASE_HALF_WIDTH = 0.02
 """Half width of the square above the goal's middle in which the object's centre is let go, m."""
 
+
+END_HALF_WIDTH = 0.01
+"""Half width of the cube round the end of a stroke in which the pen shall stop, m."""
+
+CHECKPOINT_TOLERANCE = 0.036
+"""How near a plan leads the pen to the checkpoints of a stroke, m; the task allows 4 cm."""
 
 LIFT_HALF_WIDTH = 0.01
 """Half width of the cube about the target in which the lifted object's centre ends, m."""
@@ -104,8 +113,48 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
     )
 
 
+def checkpoint_phases(demonstrations: Demonstrations) -> np.ndarray:
+    """Return the mean phases (`STROKE_POINTS`,) at which demonstrators pass equal parts of the arc.
+
+    Args:
+        demonstrations: of a task that draws.
+    """
+    pose = end_effector_pose(demonstrations.configurations)
+    pen = pose[..., :3, :3] @ PEN_TIP + pose[..., :3, 3]
+    arc = np.cumsum(np.linalg.norm(np.diff(pen, axis=1, prepend=pen[:, :1]), axis=-1), axis=1)
+    phase = np.linspace(0.0, 1.0, arc.shape[1])
+    parts = np.linspace(0.0, 1.0, STROKE_POINTS)
+    return np.mean([np.interp(parts, a / a[-1], phase) for a in arc], axis=0)
+
+
+def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray | None) -> Problem:
+    """Return the problem of following a stroke: its end is the goal, the rest are via-points."""
+    stroke = decoded.scene.goals[0]
+    end = np.asarray(stroke.position)
+    if phases is None:
+        phases = np.linspace(0.0, 1.0, STROKE_POINTS)
+    # The pen starts near the first checkpoint, and the last one is the goal.
+    via_points = tuple(
+        ViaPoint(float(phases[k]), PEN_TIP, np.asarray(place), CHECKPOINT_TOLERANCE)
+        for k, place in enumerate(stroke.checkpoints[:-1])
+        if k > 0 and stroke.demanded[k]
+    )
+    return Problem(
+        start=decoded.robot.reference,
+        obstacles=(*decoded.scene.obstacles, *fixtures(decoded.scene)),
+        attached=concatenate(finger_spheres(decoded.robot.finger_angles), pen_spheres()),
+        goals=(GoalRegion(PEN_TIP, end - END_HALF_WIDTH, end + END_HALF_WIDTH),),
+        seed=seed,
+        via_points=via_points,
+    )
+
+
 def problem_from(
-    decoded: DecodedObservation, seed: int, *, grasping: Grasping | None = None
+    decoded: DecodedObservation,
+    seed: int,
+    phases: np.ndarray | None = None,
+    *,
+    grasping: Grasping | None = None,
 ) -> Problem:
     """Return the problem that one observation poses.
 
@@ -114,11 +163,15 @@ def problem_from(
     Args:
         decoded: what the observation says.
         seed: of the plan's randomness.
+        phases: (`STROKE_POINTS`,) when a stroke's checkpoints are due, from `checkpoint_phases`;
+            by default at equal steps.
         grasping: what demonstrations teach about a grasp on the way; see `learn_grasping`.
 
     Raises:
         ValueError: the task is to grasp an object, and `grasping` is None.
     """
+    if decoded.scene.goals[0].kind == "stroke":
+        return _drawing_problem(decoded, seed, phases)
     if decoded.scene.goals[0].kind == "lift":
         if grasping is None:
             raise ValueError("grasping must be given where an object is to be grasped, got None")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from smp_gym.scene import TASKS, Scene
 from smp_gym.tasks.double_sided_placement import DoubleSidedPlacement
+from smp_gym.tasks.draw_s import DrawS
 from smp_gym.tasks.placement import Placement
 from smp_gym.tasks.push_lift_box import PushLiftBox
 from smp_gym.tasks.status import Status
@@ -38,7 +39,7 @@ class Task(Protocol):
 
     @property
     def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the object in the end-effector frame once the hand holds it."""
+        """(4, 4) pose of object or pen's tip in the end-effector frame once the hand holds it."""
         ...
 
     def check_scene(self, scene: Scene) -> None:
@@ -96,7 +97,7 @@ def make_task(name: str) -> Task:
     Raises:
         ValueError: no such task.
     """
-    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement(), PushLiftBox())
+    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement(), DrawS(), PushLiftBox())
     tasks = {task.name: task for task in known}
     if name not in tasks:
         raise ValueError(f"task must be one of {', '.join(TASKS)}; got {name!r}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,13 @@ class Status:
     """Facts at the end of an environment step.
 
     Attributes:
-        object_position: (3,) m, centre of the object.
+        object_position: (3,) m, centre of the object, or the pen's tip.
         object_contacts: groups that touch the object; see `Task.permitted_contacts`.
         held: whether the hand grips the object: touches it, not yet opened for release.
         calm_steps: how many steps in a row the object has been slower than `CALM_SPEED` with
             the hand clear of it.
         collided: whether a forbidden contact has happened in this episode.
+        trace: (M, 3) m, where the pen's tip was at the start and after each environment step.
     """
 
     object_position: NDArray[np.float64]
@@ -34,6 +35,7 @@ class Status:
     held: bool
     calm_steps: int
     collided: bool
+    trace: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def at_rest(self) -> bool:

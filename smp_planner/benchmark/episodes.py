@@ -70,8 +70,8 @@ class EpisodeRow:
         collision: whether a forbidden contact ended it.
         cause: why it failed; empty after a success.
         contact: the two parts of the forbidden contact, if there was one.
-        goal_error: distance from the object's centre to where it should rest, when the episode
-            ended, m.
+        goal_error: distance from the object's centre, or the pen, to where it should end, when the
+            episode ended, m.
         path_length: way of the end effector, m.
         clearance: least distance of arm or held object to an obstacle, judged by the physics, m;
             the environment does not tell distances above 0.05 apart.
@@ -157,9 +157,10 @@ def environment_id(task: str) -> str:
 
 
 def _goal_error(decoded: DecodedObservation) -> float:
-    """Return the distance of the object's centre to the nearest place where it should rest, m."""
+    """Return the distance of object or pen to the nearest place where it should end, m."""
     places = np.array([goal.position for goal in decoded.scene.goals])
-    places[:, 2] += decoded.object.size[2]
+    if decoded.scene.manipulated is not None:
+        places[:, 2] += decoded.object.size[2]
     return float(np.linalg.norm(places - decoded.object.position, axis=1).min())
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import GRASP_CENTER, end_effector_pose, link_transforms
+from smp_gym.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.scene import Obstacle, Scene, fixtures
 from smp_planner.benchmark.drawing import Camera, Painter, body_faces
@@ -44,18 +44,24 @@ _AZIMUTH, _ELEVATION, _DISTANCE = -28.0, 28.0, 2.2
 FloatArray = NDArray[np.float64]
 
 
-def object_paths(trajectories: FloatArray) -> FloatArray:
-    """Return the way of the grasped object's centre along trajectories.
+def object_paths(trajectories: FloatArray, point: FloatArray = GRASP_CENTER) -> FloatArray:
+    """Return the way of the grasped object's centre, or of another point, along trajectories.
 
     Args:
         trajectories: (..., T, 6) rad.
+        point: (3,) m, fixed in the end-effector frame.
 
     Returns:
         (..., T, 3) m, in the base frame.
     """
     pose = end_effector_pose(trajectories)
-    paths: FloatArray = pose[..., :3, 3] + pose[..., :3, :3] @ np.asarray(GRASP_CENTER)
+    paths: FloatArray = pose[..., :3, 3] + pose[..., :3, :3] @ np.asarray(point)
     return paths
+
+
+def _carried(scene: Scene) -> FloatArray:
+    """Return the point (3,) m of the end-effector frame whose way is drawn."""
+    return GRASP_CENTER if scene.manipulated is not None else PEN_TIP
 
 
 def _on_table(points: FloatArray) -> FloatArray:
@@ -91,7 +97,7 @@ def _paint_table(painter: Painter, points: FloatArray) -> None:
 
 def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
     scene, plan = rollout.scene, rollout.plan
-    paths, arm = object_paths(plan.trajectories), _arm(scene)
+    paths, arm = object_paths(plan.trajectories, _carried(scene)), _arm(scene)
     bin_parts = fixtures(scene)[1:]
     bodies = [*scene.obstacles, *bin_parts]
     corners = [np.concatenate(body_faces(body)) for body in bodies]
@@ -125,7 +131,7 @@ def _draw_from_above(axes: Any, rollout: Rollout, demonstrations: FloatArray) ->
     for bodies, color, alpha in ((bin_parts, _BIN, 0.4), (scene.obstacles, _OBSTACLE, 0.8)):
         for body in bodies:
             axes.add_patch(Polygon(_outline(body), facecolor=color, alpha=alpha, edgecolor="none"))
-    paths = object_paths(plan.trajectories)[..., :2]
+    paths = object_paths(plan.trajectories, _carried(scene))[..., :2]
     free = plan.collision_free
     for chosen, color, width, alpha in (
         (paths[~free], _COLLIDING, 0.8, 0.8),
@@ -162,21 +168,23 @@ def _legend_entries(rollout: Rollout, count: int) -> list[Any]:
         Line2D([], [], color=_DEMONSTRATION, lw=1.2, ls="--", label=f"demonstrations ({count})"),
         Line2D([], [], color=_ARM, lw=7, label="arm at the start", solid_capstyle="round"),
         Patch(color=_OBSTACLE, label="obstacles"),
-        Patch(color=_BIN, alpha=0.6, label="goals"),
+        *([Patch(color=_BIN, alpha=0.6, label="goals")] if fixtures(rollout.scene)[1:] else []),
     ]
 
 
 def scene_figure(rollout: Rollout, path: Path) -> None:
     """Draw scene, particles and demonstrations in 3-D and from above, and write a PNG.
 
-    Lines are ways of the grasped object's centre; the grid on the table has steps of 0.2 m.
+    Lines are ways of the grasped object's centre, or of the pen's tip; the grid on the table has
+    steps of 0.2 m.
 
     Args:
         rollout: one played episode.
         path: of the image.
     """
     row = rollout.row
-    demonstrations = object_paths(Demonstrations.load(row.task).configurations)
+    shipped = Demonstrations.load(row.task).configurations
+    demonstrations = object_paths(shipped, _carried(rollout.scene))
     figure = Figure(figsize=(12.0, 6.4), dpi=160, facecolor="white")
     FigureCanvasAgg(figure)
     _draw_space(figure.add_axes((0.01, 0.01, 0.68, 0.87)), rollout, demonstrations)

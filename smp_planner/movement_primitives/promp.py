@@ -227,13 +227,42 @@ class ProMP:
             )
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"value must be finite, got {value}")
+        return self._observe(self._rows(phase, derivative), value, covariance, f"phase {phase}")
+
+    def observe(self, rows: Tensor, value: Tensor, covariance: Tensor | None = None) -> ProMP:
+        """Return the posterior after a linear function of the weights was observed.
+
+        Args:
+            rows: (M, K*D), the function.
+            value: (..., M) observed; leading dimensions broadcast with those of the mean.
+            covariance: (M, M), or (M,) for a diagonal, of the observation; zero or None is exact.
+
+        Returns:
+            The posterior; see `condition`.
+
+        Raises:
+            ValueError: shapes do not fit; a number is not finite; `covariance` is not a covariance;
+                or an exact `value` contradicts what is already certain.
+        """
+        rows = torch.as_tensor(rows, dtype=self.mean.dtype, device=self.mean.device)
+        value = torch.as_tensor(value, dtype=self.mean.dtype, device=self.mean.device)
+        if rows.ndim != 2 or rows.shape[1] != self.mean.shape[-1]:
+            raise ValueError(
+                f"rows must have shape (M, {self.mean.shape[-1]}), got {tuple(rows.shape)}"
+            )
+        if value.shape[-1:] != rows.shape[:1]:
+            raise ValueError(f"value must have shape (..., {len(rows)}), got {tuple(value.shape)}")
+        if not bool(torch.isfinite(value).all() and torch.isfinite(rows).all()):
+            raise ValueError("rows and value must be finite, got NaN or infinity")
+        return self._observe(rows, value, covariance, "these rows")
+
+    def _observe(self, rows: Tensor, value: Tensor, covariance: Tensor | None, where: str) -> ProMP:
         if covariance is None:
-            noise_factor = self.mean.new_zeros(self.dimension, 0)
+            noise_factor = self.mean.new_zeros(len(rows), 0)
         else:
-            checked = _covariance("covariance", covariance, self.dimension, self.mean)
+            checked = _covariance("covariance", covariance, len(rows), self.mean)
             noise_factor = _square_root(checked)
 
-        rows = self._rows(phase, derivative)
         innovation = value - self.mean @ rows.mT
         stacked = torch.cat([rows @ self.factor, noise_factor], -1)
         left, singular, right = torch.linalg.svd(stacked, full_matrices=True)
@@ -245,7 +274,7 @@ class ProMP:
         allowed = math.sqrt(torch.finfo(self.mean.dtype).eps) * (1.0 + value.abs().max())
         if bool((unexplained.abs() > allowed).any()):
             raise ValueError(
-                f"value {value} at phase {phase} contradicts what is certain there: it is off by "
+                f"value {value} at {where} contradicts what is certain there: it is off by "
                 f"{unexplained.abs().max().item():.3g}"
             )
         latent = (explained / singular[:rank]) @ right[:rank, : self.rank]

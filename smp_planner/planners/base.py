@@ -1,4 +1,4 @@
-"""What all planners with a primitive share: learning it, tying it to a scene, judging particles."""
+"""What all planners with a primitive share: learning it, tying it to a scene, making plans."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from smp_planner.movement_primitives import (
     smooth_covariance,
 )
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.problem import Plan, Problem
+from smp_planner.planners.judging import choose, goal_distance, missed_via_points
+from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
 from smp_planner.verification import Verification, check_collisions, verify
 
@@ -42,10 +43,15 @@ POSTURE_STD = 0.1
 """Standard deviation, rad, that the final posture keeps around the one found for the goal."""
 
 VIA_POSE_STD = 0.002
-"""Standard deviation, rad, with which the primitive is conditioned on a via-point."""
+"""Standard deviation, rad, with which the primitive is conditioned on a via-pose."""
 
 REACHED = 0.02
 """Distance, m, from a goal region up to which a posture is taken to reach it."""
+
+VIA_STD = 0.02
+"""Standard deviation, m, with which the primitive is conditioned on via-points."""
+
+_VIA_ITERATIONS = 8
 
 
 class PlannerSettings(BaseModel):
@@ -159,13 +165,47 @@ def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> Flo
     return best[1]
 
 
-def _tie(primitive: ProMP, problem: Problem, robot: RobotModel) -> TiedPrimitive:
-    """Condition on what is certain (start, rest at both ends), then on reaching a goal."""
+def _through(primitive: ProMP, via_points: Sequence[ViaPoint], robot: RobotModel) -> ProMP:
+    """Return the primitive conditioned on via-points, linearised where they are met.
+
+    The most likely trajectory that passes them up to `VIA_STD` is found by Gauss-Newton in whitened
+    coordinates; about it the pen's place is taken to be linear in the weights (Laplace's way).
+    """
+    places = np.array([via.position for via in via_points])
+    at = torch.tensor([via.phase for via in via_points], dtype=primitive.mean.dtype)
+    identity = torch.eye(primitive.dimension, dtype=at.dtype)
+    values = primitive.basis.values(at)
+    latent = torch.zeros(primitive.rank, dtype=at.dtype)
+    unit = torch.eye(primitive.rank, dtype=at.dtype)
+    rows, value = torch.empty(0), torch.empty(0)
+    for _ in range(_VIA_ITERATIONS):
+        q = (values @ primitive.unwhiten(latent).reshape(-1, primitive.dimension)).numpy()
+        reached = [robot.carried_points(q[k], via_points[k].point) for k in range(len(via_points))]
+        jacobian = np.array([j for _, j in reached])
+        target = places - np.array([p for p, _ in reached]) + np.einsum("kij,kj->ki", jacobian, q)
+        by_joint = torch.einsum("kij,kb,jd->kibd", torch.from_numpy(jacobian), values, identity)
+        rows, value = (
+            by_joint.reshape(-1, primitive.mean.shape[-1]),
+            torch.from_numpy(target).ravel(),
+        )
+        scaled = rows @ primitive.factor / VIA_STD
+        residual = (value - rows @ primitive.mean) / VIA_STD
+        latent = torch.linalg.solve(scaled.mT @ scaled + unit, scaled.mT @ residual)
+    noise = torch.full((len(rows),), VIA_STD**2, dtype=at.dtype)
+    return primitive.observe(rows, value, noise)
+
+
+def _tie(
+    primitive: ProMP, problem: Problem, robot: RobotModel, through: Sequence[ViaPoint]
+) -> TiedPrimitive:
+    """Condition on what is certain (start, rest at both ends), then on via-points and a goal."""
     rest = torch.zeros(primitive.dimension, dtype=torch.float64)
     start = torch.from_numpy(problem.start)
     tied = primitive.condition(0.0, start).condition(0.0, rest, derivative=True)
     tied = tied.condition(1.0, rest, derivative=True)
     tied = _through_poses(tied, problem)
+    if through:
+        tied = _through(tied, through, robot)
     posture = _final_posture(tied, problem, robot)
     goal = min(
         problem.goals,
@@ -179,13 +219,13 @@ def _tie(primitive: ProMP, problem: Problem, robot: RobotModel) -> TiedPrimitive
 
 
 def _through_poses(primitive: ProMP, problem: Problem) -> ProMP:
-    """Return the primitive conditioned on the via-points of a problem.
+    """Return the primitive conditioned on the via-poses of a problem.
 
     A pose leaves an arm of six joints no freedom but the choice of a branch: the configuration
     nearest to what the primitive expects is taken.
 
     Raises:
-        UnreachableError: a via-point is out of reach.
+        UnreachableError: a via-pose is out of reach.
     """
     rest = torch.zeros(primitive.dimension, dtype=torch.float64)
     spread = VIA_POSE_STD**2 * torch.eye(primitive.dimension, dtype=torch.float64)
@@ -243,18 +283,25 @@ class PlannerModel(ABC):
     def _plan(self, problem: Problem) -> Plan:
         """Return the plan for one problem."""
 
-    def tie(self, problem: Problem, robot: RobotModel, width: float = 1.0) -> TiedPrimitive:
+    def tie(
+        self,
+        problem: Problem,
+        robot: RobotModel,
+        width: float = 1.0,
+        through: Sequence[ViaPoint] = (),
+    ) -> TiedPrimitive:
         """Return the primitive conditioned on start and goal of a problem.
 
         Args:
             problem: to be solved.
             robot: arm with all that it carries.
             width: factor of `smooth_std`, at least 1.
+            through: via-points to condition on, too.
 
         Raises:
             UnreachableError: no goal is within reach.
         """
-        return _tie(self._widened(self.primitive, width), problem, robot)
+        return _tie(self._widened(self.primitive, width), problem, robot, through)
 
     def _widened(self, primitive: ProMP, width: float) -> ProMP:
         if width <= 1.0:
@@ -264,7 +311,13 @@ class PlannerModel(ABC):
             smooth_covariance(primitive.basis, primitive.dimension, added, 0.2)
         )
 
-    def draw(self, problem: Problem, robot: RobotModel, width: float = 1.0) -> list[Particles]:
+    def draw(
+        self,
+        problem: Problem,
+        robot: RobotModel,
+        width: float = 1.0,
+        through: Sequence[ViaPoint] = (),
+    ) -> list[Particles]:
         """Return P draws of the mixture, conditioned on start and goal of a problem.
 
         Each component is tied to the goal that is likeliest under it, and gets its share of the
@@ -274,6 +327,7 @@ class PlannerModel(ABC):
             problem: to be solved.
             robot: arm with all that it carries.
             width: factor of `smooth_std`, at least 1.
+            through: via-points to condition on, too.
 
         Raises:
             UnreachableError: no component reaches a goal.
@@ -282,7 +336,7 @@ class PlannerModel(ABC):
         unreachable: UnreachableError | None = None
         for index, component in enumerate(self.mixture.components):
             try:
-                tied[index] = _tie(self._widened(component, width), problem, robot)
+                tied[index] = _tie(self._widened(component, width), problem, robot, through)
             except UnreachableError as error:
                 unreachable = error
         if not tied:
@@ -325,17 +379,24 @@ class PlannerModel(ABC):
             trajectories = primitive.trajectory(weights, SAMPLES).numpy()
             verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
             executable = verdict.executable
-            goal_error = _goal_error(problem, robot, trajectories[:, -1])
+            goal_error = goal_distance(problem, robot, trajectories[:, -1])
             prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
+            missed = missed_via_points(problem, robot, trajectories)
             costs = {"prior": prior.numpy(), **costs}
-            good = verdict.collision_free & executable
-            chosen = _choose(verdict, goal_error, costs)
+            passing = missed <= 0.0
+            good = verdict.collision_free & executable & passing
+            chosen = choose(verdict, goal_error, missed, costs)
         message = ""
         if not good.any():
             message = (
                 "no particle is collision-free and executable: "
                 f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
                 f"{int(executable.sum())} executable; the least bad one is chosen"
+                if passing.all()
+                else "no particle is collision-free, executable and passes all via-points: "
+                f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
+                f"{int(executable.sum())} executable, {int(passing.sum())} pass; the least bad "
+                "one is chosen"
             )
         shape = (len(weights), primitive.basis.count, primitive.dimension)
         components = None
@@ -356,6 +417,7 @@ class PlannerModel(ABC):
             timings=stopwatch.timings,
             message=message,
             components=components,
+            passing=passing,
         )
 
 
@@ -372,29 +434,6 @@ def _verified(
         check = check_collisions(part, jaco_of_spheres(stage.spheres), stage.obstacles)
         free, clearance = free & check.free, np.minimum(clearance, check.clearance)
     return replace(whole, collision_free=free, clearance=clearance)
-
-
-def _goal_error(problem: Problem, robot: RobotModel, ends: FloatArray) -> FloatArray:
-    """Return the distance (P,) m of carried points to the nearest goal region."""
-    errors = []
-    for goal in problem.goals:
-        points = robot.carried_points(ends, goal.point)[0]
-        errors.append(np.linalg.norm(points - np.clip(points, goal.lower, goal.upper), axis=-1))
-    return np.asarray(np.min(errors, axis=0))
-
-
-SAFE_CLEARANCE = 0.01
-"""Clearance, m, beyond which more of it makes a particle no better."""
-
-
-def _choose(verdict: Verification, goal_error: FloatArray, costs: dict[str, FloatArray]) -> int:
-    """Return the best particle: what is demanded first, then likeness to the demonstrations."""
-    free, clearance = verdict.collision_free, verdict.clearance
-    demanded = 4.0 * free + 2.0 * verdict.executable + 1.0 * (goal_error < 0.005)
-    unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
-    # One unit of the prior is worth a tenth of a millimetre of missing clearance.
-    merit = -costs["prior"] - 1e4 * unsafe - 1e3 * goal_error
-    return int(np.lexsort((merit, demanded))[-1])
 
 
 def jaco_with(problem: Problem) -> RobotModel:

@@ -23,10 +23,9 @@ from smp_planner.planners.base import (
     PlannerModel,
     PlannerSettings,
     Stopwatch,
-    _choose,
-    _goal_error,
     jaco_with,
 )
+from smp_planner.planners.judging import choose, goal_distance, missed_via_points
 from smp_planner.problem import Plan, Problem
 from smp_planner.robot_model import RobotModel
 from smp_planner.shortcutting import path_length, shortcut, smooth, stop_at_corners
@@ -399,7 +398,7 @@ class RRTConnectPlanner(PlannerModel):
             straight = stop_at_corners(np.stack([problem.start, end]), robot.velocity, SAMPLES)
             trajectories = np.stack([straight if path is None else path for path in found])
             verdict = verify(trajectories, robot, problem.obstacles, settings.duration_limit)
-            goal_error = _goal_error(problem, robot, trajectories[:, -1])
+            goal_error = goal_distance(problem, robot, trajectories[:, -1])
             basis = tied.primitive.basis.values(phases(SAMPLES))
             weights = torch.linalg.pinv(basis) @ torch.from_numpy(trajectories)
             latent = tied.primitive.whiten(weights.flatten(-2))
@@ -407,7 +406,8 @@ class RRTConnectPlanner(PlannerModel):
                 "prior": 0.5 * latent.square().sum(-1).numpy(),
                 "length": np.array([path_length(path) for path in trajectories]),
             }
-            chosen = _choose(verdict, goal_error, costs)
+            missed = missed_via_points(problem, robot, trajectories)
+            chosen = choose(verdict, goal_error, missed, costs)
         message = ""
         if not (verdict.collision_free & verdict.executable).any():
             message = (
@@ -427,4 +427,5 @@ class RRTConnectPlanner(PlannerModel):
             chosen=chosen,
             timings=stopwatch.timings,
             message=message,
+            passing=missed <= 0.0,
         )

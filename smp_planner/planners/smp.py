@@ -15,6 +15,7 @@ from torch import Tensor
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.scene import Obstacle
 from smp_planner.costs import (
+    CarriedBoxCost,
     CollisionCost,
     Cost,
     GoalCost,
@@ -63,7 +64,9 @@ class SMPSettings(PlannerSettings):
         self_collision_weight: lambda of the same cost between the arm's own links.
         margin: m, by which spheres are enlarged while planning.
         edge_width: m, width of the map's edge in the first and the last iteration.
-        goal_sigma: m, tails of the smooth box prior around the goal, Eq. (14).
+        goal_sigma: m, tails of the smooth box prior around the goal, Eq. (14), and around the
+            via-points, Eq. (13).
+        via_share: half width of the box around a via-point, as a share of its tolerance.
         velocity_weight: of the excess over the joint velocity limits.
         limit_weight: of the excess over the joint limits.
         retries: how often a scene without a good particle is tried again with twice the width.
@@ -80,6 +83,7 @@ class SMPSettings(PlannerSettings):
     margin: float = Field(default=0.01, ge=0.0)
     edge_width: tuple[float, float] = (0.05, 0.01)
     goal_sigma: float = Field(default=0.005, gt=0.0)
+    via_share: float = Field(default=0.5, ge=0.0, le=1.0)
     velocity_weight: float = Field(default=10.0, ge=0.0)
     limit_weight: float = Field(default=100.0, ge=0.0)
     retries: int = Field(default=1, ge=0)
@@ -116,7 +120,7 @@ class SMPPlanner(PlannerModel):
         best: Plan | None = None
         for attempt in range(self.settings.retries + 1):
             with stopwatch.stage("conditioning"):
-                drawn = self.draw(problem, robot, width=2.0**attempt)
+                drawn = self.draw(problem, robot, 2.0**attempt, through=problem.via_points)
             with stopwatch.stage("inference"):
                 particles, costs = self._infer_all(drawn, likelihood)
             plan = self.judge(problem, robot, particles, costs, stopwatch)
@@ -177,6 +181,22 @@ def _baked_map(obstacles: tuple[Obstacle, ...], seed: int, settings: SMPSettings
     return bake(PointNetworkMap.of(network))
 
 
+def _via_cost(problem: Problem, robot: RobotModel, settings: SMPSettings) -> CarriedBoxCost:
+    """Return the cost of leaving the boxes round the via-points, all of one carried point."""
+    via_points = problem.via_points
+    half = np.array([[settings.via_share * via.tolerance] for via in via_points])
+    places = np.array([via.position for via in via_points])
+    last = settings.planning_steps - 1
+    return CarriedBoxCost(
+        robot,
+        via_points[0].point,
+        np.array([round(via.phase * last) for via in via_points]),
+        places - half,
+        places + half,
+        settings.goal_sigma,
+    )
+
+
 class Likelihood:
     """The likelihood of Eq. (7): all costs of a scene with their weights.
 
@@ -209,6 +229,8 @@ class Likelihood:
                 JointLimitCost(robot.lower, robot.upper, margin=0.02),
             ),
         }
+        if problem.via_points:
+            terms["via_points"] = (1.0, _via_cost(problem, robot, settings))
         self._terms = {name: term for name, term in terms.items() if term[0] > 0.0}
 
     def gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:

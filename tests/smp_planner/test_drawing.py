@@ -1,0 +1,197 @@
+"""Planning through via-points: the stroke of DrawS, from the observation to the physics."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.env import ManipulationEnv
+from smp_gym.kinematics import PEN_TIP
+from smp_gym.observation import decode
+from smp_gym.scene import STROKE_POINTS
+from smp_gym.scene_sampling import sample_scene
+from smp_gym.strokes import pen_path
+from smp_planner.movement_primitives import ProMP
+from smp_planner.planners import TASK_SETTINGS, make_planner
+from smp_planner.planners.base import jaco_with
+from smp_planner.policy import PlannerPolicy
+from smp_planner.problem import Plan, ViaPoint
+from smp_planner.reading import CHECKPOINT_TOLERANCE, checkpoint_phases, problem_from
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = ManipulationEnv("DrawS", difficulty="easy")
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def demonstrations():
+    return Demonstrations.load("DrawS")
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return PlannerPolicy.make("smp", "DrawS")
+
+
+@pytest.fixture(scope="module")
+def problem(env, demonstrations):
+    observation, _ = env.reset(options={"scene": sample_scene("DrawS", "easy", 4)})
+    return problem_from(decode(observation, "DrawS"), 0, checkpoint_phases(demonstrations))
+
+
+def primitive_with(seed=0, joints=2):
+    rng = np.random.default_rng(seed)
+    walk = np.cumsum(rng.normal(size=(5, 40, joints)), axis=1) / 6
+    return ProMP.fit(walk), rng
+
+
+@pytest.mark.parametrize("noise", [None, 0.3])
+def test_observing_a_linear_function_agrees_with_the_dense_formula(noise):
+    primitive, rng = primitive_with()
+    rows = torch.from_numpy(rng.normal(size=(3, primitive.mean.shape[-1])))
+    value = torch.from_numpy(rng.normal(size=3))
+    variance = torch.zeros(3, dtype=torch.float64) if noise is None else torch.full((3,), noise**2)
+    posterior = primitive.observe(rows, value, None if noise is None else variance)
+    sigma = primitive.covariance
+    gain = (
+        sigma @ rows.mT @ torch.linalg.inv(rows @ sigma @ rows.mT + torch.diag(variance.double()))
+    )
+    mean = primitive.mean + gain @ (value - rows @ primitive.mean)
+    torch.testing.assert_close(posterior.mean, mean)
+    torch.testing.assert_close(
+        posterior.covariance, sigma - gain @ rows @ sigma, atol=1e-6, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "value", "message"),
+    [
+        (np.zeros((2, 3)), np.zeros(2), "rows must have shape"),
+        (np.zeros((2, 30)), np.zeros(3), "value must have shape"),
+        (np.full((2, 30), np.nan), np.zeros(2), "must be finite"),
+        (np.zeros((1, 30)), np.ones(1), "contradicts what is certain"),
+    ],
+)
+def test_bad_observations_are_errors(rows, value, message):
+    primitive, _ = primitive_with()
+    with pytest.raises(ValueError, match=message):
+        primitive.observe(torch.from_numpy(rows), torch.from_numpy(value))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"phase": 1.2}, r"phase must lie in \[0, 1\], got 1.2"),
+        ({"tolerance": 0.0}, "tolerance must be positive, got 0.0"),
+        ({"position": np.zeros(2)}, "position must have shape"),
+        ({"point": np.full(3, np.inf)}, "point must be finite"),
+    ],
+)
+def test_bad_via_points_are_named(changes, message):
+    values = {"phase": 0.5, "point": np.zeros(3), "position": np.zeros(3), "tolerance": 0.01}
+    with pytest.raises(ValueError, match=message):
+        ViaPoint(**{**values, **changes})
+
+
+def test_checkpoints_are_due_when_demonstrators_have_drawn_their_share(demonstrations):
+    phases = checkpoint_phases(demonstrations)
+    assert phases.shape == (STROKE_POINTS,)
+    assert (np.diff(phases) > 0).all()
+    assert (phases[0], phases[-1]) == (0.0, 1.0)
+    pen = pen_path(demonstrations.configurations[3])
+    due = np.rint(phases * 199).astype(int)
+    lengths = [
+        np.linalg.norm(np.diff(pen[a : b + 1], axis=0), axis=1).sum() for a, b in pairwise(due)
+    ]
+    # Equal but for the rounding to whole samples, each 1/6 of a part where the pen is fastest.
+    assert np.std(lengths) < 0.2 * np.mean(lengths)
+
+
+def test_the_problem_holds_what_the_goal_demands(problem):
+    scene = sample_scene("DrawS", "easy", 4)
+    stroke = scene.goals[0]
+    wanted = [p for p, d in zip(stroke.checkpoints, stroke.demanded, strict=True) if d][1:-1]
+    np.testing.assert_allclose([v.position for v in problem.via_points], wanted, atol=1e-6)
+    assert (np.diff([v.phase for v in problem.via_points]) > 0).all()
+    np.testing.assert_allclose(problem.goals[0].center, stroke.position, atol=1e-6)
+    # Obstacles and table, but no bin.
+    assert len(problem.obstacles) == len(scene.obstacles) + 1
+
+
+def test_the_conditioned_mean_passes_the_via_points(policy, problem):
+    robot = jaco_with(problem)
+    through = policy.planner.tie(problem, robot, through=problem.via_points).primitive
+    plain = policy.planner.tie(problem, robot).primitive
+    distances = []
+    for primitive in (through, plain):
+        at = torch.tensor([v.phase for v in problem.via_points], dtype=torch.float64)
+        q = primitive.trajectory(primitive.mean, at).numpy()
+        offset = pen_path(q) - [v.position for v in problem.via_points]
+        distances.append(np.linalg.norm(offset, axis=1).max())
+    assert distances[0] < CHECKPOINT_TOLERANCE
+    assert distances[1] > 2 * distances[0]
+
+
+def test_the_plan_passes_free_of_obstacles_and_the_control_does_not(policy, problem):
+    plan = policy.planner.plan([problem])[0]
+    assert plan.good[plan.chosen]
+    pen = pen_path(plan.trajectories[plan.chosen])
+    for via in problem.via_points:
+        nearest = np.linalg.norm(pen - via.position, axis=1).min()
+        assert nearest <= CHECKPOINT_TOLERANCE
+    for particle, path in enumerate(pen_path(plan.trajectories)):
+        worst = max(np.linalg.norm(path - v.position, axis=1).min() for v in problem.via_points)
+        assert not (plan.passing[particle] and worst > CHECKPOINT_TOLERANCE)
+    assert "via_points" in plan.costs
+    control = make_planner("promp", "DrawS").plan([problem])[0]
+    assert not control.good.any()
+    assert "via-points" in control.message
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_policy_draws_the_s_in_the_physics(policy, env, seed):
+    observation, info = env.reset(seed=seed)
+    state, done = None, False
+    for _ in range(400):
+        action, state = policy.predict(observation, state, deterministic=True)
+        observation, _, done, _, info = env.step(action)
+        if done:
+            break
+    assert info["is_success"], info
+
+
+def test_settings_of_a_task_give_way_to_those_that_are_given():
+    assert TASK_SETTINGS["smp", "DrawS"]["smooth_std"] == 0.4
+    assert make_planner("smp", "DrawS").settings.smooth_std == 0.4
+    assert make_planner("smp", "Placement").settings.smooth_std == 0.2
+    made = make_planner("smp", "DrawS", settings={"smooth_std": 0.3})
+    assert (made.settings.smooth_std, made.settings.retries) == (0.3, 2)
+
+
+def test_only_particles_that_pass_are_good():
+    flags = np.array([True, True])
+    zeros = np.zeros(2)
+    plan = Plan(
+        weights=np.zeros((2, 3, 6)),
+        trajectories=np.zeros((2, 4, 6)),
+        costs={},
+        collision_free=flags,
+        clearance=zeros,
+        goal_error=zeros,
+        duration=zeros,
+        executable=flags,
+        chosen=0,
+    )
+    assert plan.good.tolist() == [True, True]
+    assert replace(plan, passing=np.array([True, False])).good.tolist() == [True, False]
+
+
+def test_via_points_are_carried_by_the_pen(problem):
+    for via in problem.via_points:
+        np.testing.assert_array_equal(via.point, PEN_TIP)
