@@ -31,7 +31,7 @@ from smp_gym.kinematics import (
     inverse_kinematics,
 )
 from smp_gym.observation import CONTROL_PERIOD, decode
-from smp_gym.scene import Configuration, Goal, ManipulatedObject, Scene
+from smp_gym.scene import TASKS, Configuration, Goal, ManipulatedObject, Scene
 from smp_gym.tasks import double_sided_placement, placement
 
 SEED = 0
@@ -253,9 +253,7 @@ def main(
         Path | None,
         typer.Option(help="File to write; default envs_assets/demonstrations/TASK.npz."),
     ] = None,
-    task: Annotated[
-        str, typer.Option(help=f"One of {', '.join(SCRIPTS)}, DrawS.")
-    ] = PLACEMENT.task,
+    task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = PLACEMENT.task,
 ) -> None:
     """Record the demonstrations of a task; refuse to write unless all of them succeed."""
     console = Console()
@@ -276,7 +274,11 @@ def _recorder(task: str) -> Callable[[Console], Demonstrations]:
         import draw_s_demonstrations
 
         return draw_s_demonstrations.record
-    raise typer.BadParameter(f"task must be one of {', '.join(SCRIPTS)}, DrawS; got {task!r}")
+    if task == "PushLiftBox":
+        import push_lift_demonstrations
+
+        return push_lift_demonstrations.record
+    raise typer.BadParameter(f"task must be one of {', '.join(TASKS)}; got {task!r}")
 
 
 if __name__ == "__main__":

@@ -114,6 +114,11 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
         Field("demanded", STROKE_POINTS, 0.0, 1.0),
         Field("collided", 1, 0.0, 1.0),
     ),
+    "PushLiftBox": (
+        Field("object_position", 3, -5.0, 5.0),
+        Field("collided", 1, 0.0, 1.0),
+        Field("held", 1, 0.0, 1.0),
+    ),
 }
 """``achieved_goal`` and ``desired_goal`` of each task; a flag of 1 in the latter is demanded.
 
@@ -280,15 +285,28 @@ def _stroke_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]
     return (Goal(kind="stroke", position=points[-1], checkpoints=points, demanded=demanded),)
 
 
+def _lift_demanded(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal of a task that holds an object up: where its centre shall be."""
+    return {"object_position": scene.goals[0].position, "collided": 0.0, "held": 1.0}
+
+
+def _lift_goals(desired: Mapping[str, Array], size: Array) -> tuple[Goal, ...]:
+    """Return the goals that `_lift_demanded` encoded."""
+    x, y, z = desired["object_position"].tolist()
+    return (Goal(kind="lift", position=(x, y, z)),)
+
+
 _DEMANDED = {
     "Placement": _place_demanded,
     "DoubleSidedPlacement": _double_sided_demanded,
     "DrawS": _stroke_demanded,
+    "PushLiftBox": _lift_demanded,
 }
 _GOALS = {
     "Placement": _place_goals,
     "DoubleSidedPlacement": _double_sided_goals,
     "DrawS": _stroke_goals,
+    "PushLiftBox": _lift_goals,
 }
 _WITHOUT_OBJECT = frozenset({"DrawS"})
 

@@ -44,7 +44,7 @@ __all__ = [
     "goal_boxes",
 ]
 
-TASKS = ("Placement", "DoubleSidedPlacement", "DrawS")
+TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
 """Names of the tasks, as they stand in the environment ids."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
@@ -131,10 +131,27 @@ class ManipulatedObject(_Frozen):
     Attributes:
         size: half-extents, m.
         mass: kg.
+        position: of its centre at the start, m; None where it is in the hand then.
+        yaw: its turn about the vertical at the start, rad; 0 where it is in the hand.
     """
 
     size: Size = (0.025, 0.025, 0.03)
     mass: Positive = 0.1
+    position: Vector3 | None = None
+    yaw: FiniteFloat = 0.0
+
+    @model_validator(mode="after")
+    def _pose_is_whole(self) -> ManipulatedObject:
+        if self.position is None and self.yaw != 0.0:
+            raise ValueError(f"yaw of an object without position must be 0, got {self.yaw}")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_absent_pose(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = handler(self)
+        if self.position is None:
+            del fields["position"], fields["yaw"]
+        return fields
 
 
 class Goal(_Frozen):
@@ -142,13 +159,15 @@ class Goal(_Frozen):
 
     Attributes:
         kind: "bin", an open box in which the object must come to rest; "pad", a raised square on
-            which it must; "stroke", a line in space that the pen must follow.
-        position: centre of the surface on which the object comes to rest, or end of the stroke, m.
+            which it must; "stroke", a line in space that the pen must follow; "lift", a point in
+            the air to which the hand must bring the object.
+        position: centre of the surface on which the object comes to rest, end of the stroke, or
+            that point, m.
         checkpoints: `STROKE_POINTS` points of a stroke, the last of which is `position`, m.
         demanded: which of these the pen must pass, the last always; others an obstacle covers.
     """
 
-    kind: Literal["bin", "pad", "stroke"] = "bin"
+    kind: Literal["bin", "pad", "stroke", "lift"] = "bin"
     position: Vector3
     checkpoints: tuple[Vector3, ...] = ()
     demanded: tuple[bool, ...] = ()
@@ -254,6 +273,7 @@ def goal_bodies(scene: Scene) -> dict[str, Goal]:
     """Return the bodies that the goals of a scene bring: their names, and the goals that they mark.
 
     A bin is called ``bin``; of two pads the first is called ``pad_left``, the second ``pad_right``.
+    A stroke or a point in the air brings none.
     """
     goals = [goal for goal in scene.goals if goal.kind in _BODY_NAMES]
     names = (_BODY_NAMES[goal.kind][number] for number, goal in enumerate(goals))
@@ -261,7 +281,7 @@ def goal_bodies(scene: Scene) -> dict[str, Goal]:
 
 
 def goal_boxes(goal: Goal) -> tuple[Obstacle, ...]:
-    """Return the boxes that make up the body of a goal; a stroke has none."""
+    """Return the boxes that make up the body of a goal; a stroke or a point in the air has none."""
     return _BOXES[goal.kind](goal) if goal.kind in _BOXES else ()
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ from smp_gym.scene import (
     fixtures,
     goal_boxes,
 )
-from smp_gym.tasks import double_sided_placement, placement
+from smp_gym.tasks import double_sided_placement, placement, push_lift_box
 
 __all__ = ["SPECIFICATIONS", "DifficultySpecification", "sample_scene", "sample_with_witness"]
 
@@ -77,8 +77,10 @@ SPECIFICATIONS = {
 }
 """Difficulties by name."""
 
+_DEFAULT_OBJECT = ManipulatedObject()
 _PLACEMENT = "Placement"
 _DOUBLE_SIDED = "DoubleSidedPlacement"
+_PUSH_LIFT = "PushLiftBox"
 
 _OBSTACLES_BY_SIDE = {"none": (0, 0), "easy": (2, 2), "medium": (4, 4), "hard": (6, 1)}
 _FREE_SHARES = {"none": (1.0, 1.0), "easy": (0.03, 0.03), "medium": (0.01, 0.0), "hard": (0.0, 0.0)}
@@ -101,6 +103,14 @@ _WIDEST = 2.5
 """Detours of ordinary width, and wider ones, up to so many times as wide."""
 
 _FAMILY_SAMPLES = 20
+
+_FREE_SHARES_WITH_PUSH = {"none": 1.0, "easy": 0.10, "medium": 0.05, "hard": 0.02}
+_FAMILY_SAMPLES_WITH_PUSH = 36
+_WIDE_WITH_PUSH = 240
+_WIDEST_WITH_PUSH = 3.0
+"""Where a push divides the way: detours have less room near it, a witness needs two that get by,
+before and after, and the shorter ways bend more sharply."""
+
 _WITNESS_SAMPLES = 200
 
 _MAX_DURATION = 14.0
@@ -117,7 +127,7 @@ _BASE_DISTANCE = 0.35
 axis of the base. Nearer to it they would block more, but the shoulder, not the way."""
 
 _START_CLEARANCE = 0.05
-_GOAL_CLEARANCES = {"bin": 0.03, "pad": 0.01}
+_GOAL_CLEARANCES = {"bin": 0.03, "pad": 0.01, "lift": 0.03}
 _OVERLAP = 0.8
 """Obstacles: distance (m) to the robot at the start, sideways to bin or pad, and how near their
 axes may come, as a share of the sum of their widths."""
@@ -126,8 +136,16 @@ _BLOCKING_DEPTH = 0.015
 """Metres: how deep an obstacle reaches into the covering spheres before a path counts as blocked.
 The spheres stand out of the arm's shapes by about that much."""
 
-_HALF_WIDTHS = {"bin": BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS, "pad": PAD_HALF_WIDTH}
-"""m, of the bodies of goals."""
+_HALF_WIDTHS = {
+    "bin": BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS,
+    "pad": PAD_HALF_WIDTH,
+    "lift": max(ManipulatedObject().size),
+}
+"""m, of the bodies of goals, or of the object that is lifted to one."""
+
+_PUSH_KNOTS = 5
+"""Configurations on the way of a push for which inverse kinematics is solved; between them it is
+interpolated."""
 
 _HALF_EXTENTS = (0.03, 0.06)
 _TABLE_SHARE = 0.35
@@ -173,13 +191,14 @@ def _smoothstep(phase: FloatArray) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=8)
-def _detour_basis(samples: int) -> FloatArray:
+def _detour_basis(samples: int, pins: tuple[float, ...] = (0.0, 1.0)) -> FloatArray:
     """Return (samples, F): a detour is this times F standard normal numbers, in units of its std.
 
     A stationary Gaussian process with squared-exponential kernel, written as a Fourier series of
     period 2 (twice the phase, so that its ends do not feel each other) and conditioned in closed
-    form on value and velocity zero at both ends. No matrix factorisation is needed, so the result
-    does not depend on the number of threads of a linear algebra library.
+    form on value and velocity zero at the pins, phases of which the first and last are 0 and 1;
+    between the inner pins, where there are two, it is zero. No matrix factorisation is needed, so
+    the result does not depend on the number of threads of a linear algebra library.
     """
     phase = np.linspace(0.0, 1.0, samples)
     harmonics = np.arange(0, 13)
@@ -196,19 +215,21 @@ def _detour_basis(samples: int) -> FloatArray:
         )
         return value, slope
 
-    ends = np.concatenate(features(np.array([0.0, 1.0])))
+    ends = np.concatenate(features(np.array(pins)))
     value, _ = features(phase)
     gain = np.einsum("tf,cf->tc", value, ends)
     gram = np.einsum("cf,df->cd", ends, ends)
     correction = np.einsum("tc,cd,df->tf", gain, np.linalg.inv(gram), ends)
     basis: FloatArray = value - correction
     basis[[0, -1]] = 0.0
+    if len(pins) > 2:
+        basis[(phase >= pins[1]) & (phase <= pins[2])] = 0.0
     return basis
 
 
-def _detours(numbers: FloatArray, samples: int) -> FloatArray:
+def _detours(numbers: FloatArray, samples: int, pins: tuple[float, ...]) -> FloatArray:
     """Return (N, samples, 6) rad from (N, F, 6) standard normal numbers."""
-    return _DETOUR_STD * np.einsum("tf,nfj->ntj", _detour_basis(samples), numbers)
+    return _DETOUR_STD * np.einsum("tf,nfj->ntj", _detour_basis(samples, pins), numbers)
 
 
 def _resample(trajectories: FloatArray, samples: int) -> FloatArray:
@@ -217,6 +238,45 @@ def _resample(trajectories: FloatArray, samples: int) -> FloatArray:
     low = np.minimum(at.astype(np.int64), trajectories.shape[1] - 2)
     part = (at - low)[:, None]
     return trajectories[:, low] * (1.0 - part) + trajectories[:, low + 1] * part
+
+
+@dataclass(frozen=True, eq=False)
+class _Push:
+    """A push on the way, after which the hand holds the object.
+
+    Attributes:
+        phases: of its begin, the hand behind the object, and of its end, the hand closing.
+        spheres: as `_Body.spheres`, which hold until it ends, but with the fingers closed and the
+            object between them. Before, the object's spheres rest within the palm.
+        configurations: (K, 6) rad, at equal steps of its way.
+        object_path: (K, 1, 3) m, where the object's centre is meanwhile.
+        object_radius: (1,) m, of a sphere around the object.
+        object_row: (1, 9) the object before the push, as a row for the kernels.
+    """
+
+    phases: tuple[float, float]
+    spheres: kinematics.SphereSet
+    configurations: FloatArray
+    object_path: FloatArray
+    object_radius: FloatArray
+    object_row: FloatArray
+
+    def at(self, phase: FloatArray) -> FloatArray:
+        """Return the configurations (T, 6) rad at phases (T,); at rest outside of the push."""
+        begin, end = self.phases
+        share = _smoothstep(np.clip((phase - begin) / (end - begin), 0.0, 1.0))
+        knots = np.linspace(0.0, 1.0, len(self.configurations))
+        # The polynomial through all knots (Lagrange): the joints' ways are smooth.
+        weights = np.stack(
+            [
+                np.prod(
+                    [(share - other) / (knot - other) for other in knots if other != knot], axis=0
+                )
+                for knot in knots
+            ],
+            axis=1,
+        )
+        return np.asarray(np.einsum("tk,kj->tj", weights, self.configurations))
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +290,7 @@ class _Body:
         swept: index of the spheres that the family is compared by: those but for the fingers, which
             lie between palm and object.
         pairs: (P, 2) spheres that may not touch each other.
+        push: what comes before the hand holds the object, if it does not from the start.
     """
 
     demonstrations: FloatArray
@@ -237,10 +298,24 @@ class _Body:
     moving: NDArray[np.int64]
     swept: NDArray[np.int64]
     pairs: NDArray[np.int64]
+    push: _Push | None = field(default=None, kw_only=True)
 
     def paths(self, trajectories: FloatArray, which: NDArray[np.int64] | None = None) -> FloatArray:
         """Return (N, T, S, 3) m, centres of spheres (all, or the given) along trajectories."""
-        link, center = self.spheres.link, self.spheres.center
+        paths = self._paths(trajectories, self.spheres, which)
+        if self.push is None:
+            return paths
+        phase = np.linspace(0.0, 1.0, trajectories.shape[-2])
+        holding = (phase > self.push.phases[1])[:, None, None]
+        return np.where(holding, self._paths(trajectories, self.push.spheres, which), paths)
+
+    def _paths(
+        self,
+        trajectories: FloatArray,
+        spheres: kinematics.SphereSet,
+        which: NDArray[np.int64] | None,
+    ) -> FloatArray:
+        link, center = spheres.link, spheres.center
         if which is not None:
             link, center = link[which], center[which]
         flat = np.ascontiguousarray(trajectories.reshape(-1, trajectories.shape[-1]))
@@ -252,7 +327,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Task(_Body):
-    """What sampling needs to know of a task that sets an object down.
+    """What sampling needs to know of a task that sets an object down or lifts it.
 
     Attributes:
         start: (6,) rad.
@@ -260,6 +335,9 @@ class _Task(_Body):
         release_height: m, of the object's centre over the goal there.
         nominal_goal: (3,) m, mean goal of the demonstrations.
         held: (4, 4) pose of the held object in the end-effector frame.
+        samples: of each member of a family.
+        wide: how many wide detours are drawn.
+        widest: up to so many times as wide as ordinary ones.
     """
 
     start: FloatArray
@@ -267,6 +345,14 @@ class _Task(_Body):
     release_height: float
     nominal_goal: FloatArray
     held: FloatArray
+    samples: int = _FAMILY_SAMPLES
+    wide: int = _WIDE
+    widest: float = _WIDEST
+
+    @property
+    def pins(self) -> tuple[float, ...]:
+        """Phases at which detours are zero."""
+        return (0.0, 1.0) if self.push is None else (0.0, *self.push.phases, 1.0)
 
 
 @functools.lru_cache(maxsize=1)
@@ -331,6 +417,106 @@ def _make_task(
     )
 
 
+@functools.lru_cache(maxsize=1)
+def _push_lift() -> _Task:
+    """Return what sampling needs to know of PushLiftBox, with the push of a nominal box."""
+    demonstrations = Demonstrations.load(_PUSH_LIFT)
+    goals = np.array([scene.goals[0].position for scene in demonstrations.scenes])
+    held = np.array(demonstrations.metadata["object_in_hand"])
+    task = _make_task(
+        demonstrations.configurations,
+        goals.mean(axis=0),
+        push_lift_box.START_CONFIGURATION,
+        held,
+        demonstrations.metadata["finger_angles"],
+    )
+    arm = kinematics.arm_spheres()
+    open_fingers = kinematics.finger_spheres(np.zeros(4))
+    count = len(arm) + len(open_fingers)
+    palm = np.flatnonzero(arm.link == arm.link.max())
+    widest = palm[np.argmax(arm.radius[palm])]
+    center = task.spheres.center.copy()
+    center[len(arm) : count] = open_fingers.center
+    center[count:] = arm.center[widest]
+    before = kinematics.SphereSet(task.spheres.link, center, task.spheres.radius)
+    last = demonstrations.configurations.shape[1] - 1
+    begin, end = (sample / last for sample in demonstrations.metadata["push_samples"])
+    box = demonstrations.scenes[0].manipulated
+    assert box is not None
+    # The box touches the table when it is pushed and lifted: that is no collision.
+    moving = task.moving[task.moving < count]
+    after = task.spheres
+    task = replace(
+        task,
+        spheres=before,
+        moving=moving,
+        swept=task.moving,
+        samples=_FAMILY_SAMPLES_WITH_PUSH,
+        wide=_WIDE_WITH_PUSH,
+        widest=_WIDEST_WITH_PUSH,
+    )
+    return _with_push(task, (begin, end), after, box)
+
+
+def _with_push(
+    task: _Task, phases: tuple[float, float], grasped: kinematics.SphereSet, box: ManipulatedObject
+) -> _Task:
+    """Return a task with the push of a box.
+
+    Raises:
+        UnreachableError: the box is out of reach.
+    """
+    assert box.position is not None
+    shares = np.linspace(0.0, 1.0, _PUSH_KNOTS)
+    center = np.asarray(box.position)
+    mean = task.demonstrations.mean(axis=0)
+    samples = np.linspace(*phases, _PUSH_KNOTS) * (len(mean) - 1)
+    configurations: list[FloatArray] = []
+    for pose, sample in zip(
+        push_lift_box.push_poses(center, box.yaw, shares)[::-1], samples[::-1], strict=True
+    ):
+        near = configurations[-1] if configurations else mean[round(sample)]
+        configurations.append(kinematics.inverse_kinematics(pose[:3, 3], pose[:3, :3], seed=near))
+    ahead = np.array([np.cos(box.yaw), np.sin(box.yaw), 0.0])
+    path = center + shares[:, None] * push_lift_box.PUSH_LENGTH * ahead
+    push = _Push(
+        phases=phases,
+        spheres=grasped,
+        configurations=np.array(configurations[::-1]),
+        object_path=path[:, None],
+        object_radius=np.array([np.linalg.norm(box.size)]),
+        object_row=np.array([_row(_standing(box))]),
+    )
+    return replace(task, push=push)
+
+
+def _standing(box: ManipulatedObject) -> Obstacle:
+    """Return a box that stands on the table, as a body."""
+    assert box.position is not None
+    half = box.yaw / 2
+    quaternion = (0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+    return Obstacle(shape="box", position=box.position, quaternion=quaternion, size=box.size)
+
+
+def _draw_box(rng: np.random.Generator) -> ManipulatedObject:
+    """Return a box that stands on the table."""
+    radius = rng.uniform(*push_lift_box.BOX_RADIUS)
+    bearing = rng.uniform(*push_lift_box.BOX_BEARING)
+    yaw = bearing + rng.uniform(-push_lift_box.BOX_TURN, push_lift_box.BOX_TURN)
+    height = ManipulatedObject().size[2]
+    position = (float(radius * np.cos(bearing)), float(radius * np.sin(bearing)), height)
+    return ManipulatedObject(position=position, yaw=float(yaw))
+
+
+def _draw_target(rng: np.random.Generator) -> Goal:
+    """Return a point in the air."""
+    radius = rng.uniform(*push_lift_box.TARGET_RADIUS)
+    bearing = rng.uniform(*push_lift_box.TARGET_BEARING)
+    height = rng.uniform(*push_lift_box.TARGET_HEIGHT)
+    position = (float(radius * np.cos(bearing)), float(radius * np.sin(bearing)), float(height))
+    return Goal(kind="lift", position=position)
+
+
 def _draw_goal(rng: np.random.Generator) -> Goal:
     x, y, z = rng.uniform(placement.BIN_LOWER, placement.BIN_UPPER)
     return Goal(position=(float(x), float(y), float(z)))
@@ -368,11 +554,34 @@ def _release_configuration(task: _Task, goal: Goal) -> FloatArray:
 
 def _carry(task: _Task, goal: FloatArray, samples: int) -> FloatArray:
     """Return the demonstrations, (N, samples, 6), blended to start and goal configuration."""
+    if task.push is not None:
+        return _carry_with_push(task, task.push, goal, samples)
     carried = _resample(task.demonstrations, samples)
     blend = _smoothstep(np.linspace(0.0, 1.0, samples))[:, None]
     to_start = (task.start - carried[:, 0])[:, None]
     to_goal = (goal - carried[:, -1])[:, None]
     result: FloatArray = carried + (1.0 - blend) * to_start + blend * to_goal
+    return result
+
+
+def _carry_with_push(task: _Task, push: _Push, goal: FloatArray, samples: int) -> FloatArray:
+    """Return the demonstrations, (N, samples, 6), blended to start, push and goal configuration."""
+    carried = _resample(task.demonstrations, samples)
+    phase = np.linspace(0.0, 1.0, samples)
+    begin, end = push.phases
+    last = task.demonstrations.shape[1] - 1
+    pushing = push.at(phase)
+    behind, grasp = push.configurations[0], push.configurations[-1]
+    to_start = task.start - task.demonstrations[:, 0]
+    to_behind = behind - task.demonstrations[:, round(begin * last)]
+    to_grasp = grasp - task.demonstrations[:, round(end * last)]
+    to_goal = goal - task.demonstrations[:, -1]
+    before = _smoothstep(np.clip(phase / begin, 0.0, 1.0))[:, None]
+    after = _smoothstep(np.clip((phase - end) / (1.0 - end), 0.0, 1.0))[:, None]
+    approach = carried + (1.0 - before) * to_start[:, None] + before * to_behind[:, None]
+    lift = carried + (1.0 - after) * to_grasp[:, None] + after * to_goal[:, None]
+    result: FloatArray = np.where((phase < begin)[:, None], approach, pushing)
+    result = np.where((phase > end)[:, None], lift, result)
     return result
 
 
@@ -421,24 +630,34 @@ def _draw_family(
 ) -> _Family:
     demonstrations = len(task.demonstrations)
     base = rng.integers(demonstrations, size=proposals + wide)
-    numbers = rng.standard_normal((len(base), _detour_basis(_FAMILY_SAMPLES).shape[1], 6))
-    numbers[proposals:] *= rng.uniform(1.0, _WIDEST, size=(wide, 1, 1))
-    carried = _carry(task, configuration, _FAMILY_SAMPLES)
+    features = _detour_basis(task.samples, task.pins).shape[1]
+    numbers = rng.standard_normal((len(base), features, 6))
+    numbers[proposals:] *= rng.uniform(1.0, task.widest, size=(wide, 1, 1))
+    carried = _carry(task, configuration, task.samples)
     mean = carried.mean(axis=0, keepdims=True)
     trajectories = np.concatenate(
-        [mean, carried, carried[base] + _detours(numbers, _FAMILY_SAMPLES)]
+        [mean, carried, carried[base] + _detours(numbers, task.samples, task.pins)]
     )
     paths = task.paths(trajectories, task.swept)
     radius = task.spheres.radius[task.swept]
     grid = sampling_kernels.rasterised(paths, radius, _GRID_ORIGIN, _GRID_SPACING, _GRID_SHAPE)
-    height = (paths[..., 2] - radius).min(axis=(1, 2))
+    grounded = np.isin(task.swept, task.moving)
+    height = (paths[..., grounded, 2] - radius[grounded]).min(axis=(1, 2))
     # The bin counts as solid here: its thin walls would fall through the grid.
-    solids = np.array([_solid(goal) for goal in goals])
+    solids = np.array([_solid(goal) for goal in goals if goal_boxes(goal)])
+    solids = solids.reshape(-1, sampling_kernels.OBSTACLE_COLUMNS)
 
     def clear(distance: float) -> BoolArray:
         near = _near(grid, solids, distance, len(paths)).any(axis=0)
         return ~near & (height > distance)
 
+    able = clear(_FIXTURE_CLEARANCE) & _within_limits(trajectories)
+    if task.push is not None:
+        approach = paths[:, : int(task.push.phases[0] * (task.samples - 1)) + 1]
+        steps, row = sampling_kernels.longest_steps(approach), task.push.object_row
+        able &= ~sampling_kernels.blocked_paths(approach, radius, steps, row, -_FIXTURE_CLEARANCE)[
+            0
+        ]
     return _Family(
         configuration=configuration,
         base=base,
@@ -448,7 +667,7 @@ def _draw_family(
         grid=grid,
         proposals=1 + demonstrations + proposals,
         free=clear(-_BLOCKING_DEPTH),
-        able=clear(_FIXTURE_CLEARANCE) & _within_limits(trajectories),
+        able=able,
     )
 
 
@@ -462,7 +681,7 @@ def _member(task: _Task, family: _Family, index: int) -> FloatArray:
         return carried[index - 1]
     detour = index - 1 - len(carried)
     numbers = family.numbers[detour : detour + 1]
-    return carried[family.base[detour]] + _detours(numbers, _WITNESS_SAMPLES)[0]
+    return carried[family.base[detour]] + _detours(numbers, _WITNESS_SAMPLES, task.pins)[0]
 
 
 def _within_limits(trajectories: FloatArray) -> BoolArray:
@@ -486,6 +705,12 @@ def _is_witness(
     radius = task.spheres.radius
     if (sampling_kernels.path_clearances(path, radius, rows, 1.0) < clearance).any():
         return False
+    if task.push is not None:
+        # Nothing may knock the object over before the push begins.
+        approach = path[: int(task.push.phases[0] * (len(path) - 1)) + 1]
+        row = task.push.object_row
+        if sampling_kernels.path_clearances(approach, radius, row, 1.0)[0] < _FIXTURE_CLEARANCE:
+            return False
     # The arm's base stands on the table: only the moving spheres have to keep clear of it.
     moving = np.ascontiguousarray(path[:, task.moving])
     margins = sampling_kernels.path_clearances(moving, radius[task.moving], bodies, 1.0)
@@ -545,7 +770,7 @@ def _draw_candidates(
     if not len(pool):
         return np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
-    sample = rng.integers(_FAMILY_SAMPLES, size=count)
+    sample = rng.integers(task.samples, size=count)
     hand = np.flatnonzero(task.spheres.link[task.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     shape = rng.choice(len(SHAPES), size=count, p=_SHAPE_SHARES)
@@ -570,6 +795,11 @@ def _draw_candidates(
     rows = rows[fits]
     start, radius = task.paths(task.start[None]), task.spheres.radius
     clear = sampling_kernels.path_clearances(start, radius, rows, 1.0) >= _START_CLEARANCE
+    if task.push is not None:
+        path, radius = task.push.object_path, task.push.object_radius
+        clear &= (
+            sampling_kernels.path_clearances(path, radius, rows, 1.0) >= _GOAL_CLEARANCES["lift"]
+        )
     return rows[clear]
 
 
@@ -637,12 +867,13 @@ def _choose(
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """One draw: (6,) start, goals, (M, 9) rows of obstacles, (W, 6) witness."""
+    """One draw: (6,) start, goals, (M, 9) rows of obstacles, (W, 6) witness, the object."""
 
     start: FloatArray
     goals: tuple[Goal, ...]
     rows: FloatArray
     witness: FloatArray
+    manipulated: ManipulatedObject = _DEFAULT_OBJECT
 
 
 def _draw_placement(difficulty: str, rng: np.random.Generator) -> _Draw | None:
@@ -681,6 +912,24 @@ def _draw_double_sided(difficulty: str, rng: np.random.Generator) -> _Draw | Non
     return replace(drawn, rows=np.concatenate([drawn.rows, stopper]))
 
 
+def _draw_push_lift(difficulty: str, rng: np.random.Generator) -> _Draw | None:
+    """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
+    box, goal = _draw_box(rng), _draw_target(rng)
+    spread = np.asarray(push_lift_box.START_SPREAD)
+    start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
+    nominal = _push_lift()
+    assert nominal.push is not None
+    task = replace(nominal, start=start)
+    try:
+        task = _with_push(task, nominal.push.phases, nominal.push.spheres, box)
+    except kinematics.UnreachableError:
+        return None
+    free_share = _FREE_SHARES_WITH_PUSH[difficulty]
+    specification = replace(SPECIFICATIONS[difficulty], free_share=free_share)
+    drawn = _draw_way(task, specification, goal, (goal,), rng)
+    return None if drawn is None else replace(drawn, manipulated=box)
+
+
 def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
     """Return the (1, 9) row of a box that leaves no room on a pad."""
     half = rng.uniform(*_STOPPER_HALF_EXTENTS, size=3)
@@ -715,7 +964,7 @@ def _draw_way(
         return None
     crowd = specification.obstacles > 0
     family = _draw_family(
-        task, goals, configuration, _PROPOSALS if crowd else 0, _WIDE if crowd else 0, rng
+        task, goals, configuration, _PROPOSALS if crowd else 0, task.wide if crowd else 0, rng
     )
     for _ in range(_CANDIDATE_SETS if crowd else 1):
         drawn = _place(task, specification, goals, family, rng, before)
@@ -785,6 +1034,7 @@ def _blocked(family: _Family, rows: FloatArray) -> BoolArray:
 _DRAWS: dict[str, Callable[[str, np.random.Generator], _Draw | None]] = {
     _PLACEMENT: _draw_placement,
     _DOUBLE_SIDED: _draw_double_sided,
+    _PUSH_LIFT: _draw_push_lift,
 }
 
 
@@ -831,7 +1081,7 @@ def sample_with_witness(
         difficulty=difficulty,  # type: ignore[arg-type]
         seed=seed,
         start=_configuration(drawn.start),
-        manipulated=ManipulatedObject(),
+        manipulated=drawn.manipulated,
         goals=drawn.goals,
         obstacles=tuple(_obstacle(row) for row in drawn.rows),
     )

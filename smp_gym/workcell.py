@@ -34,9 +34,11 @@ _ORIGIN = (0.0, 0.0, 0.0)
 # Where bodies of goals wait, so deep and so far apart that they are near nothing.
 _PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
 _FAR_AWAY = (0.0, 0.0, 10.0)
+_IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 _CLOSING_STEPS = 30
 _SETTLING_STEPS = 20
+_STANDING_STEPS = 4
 _GRASP_TOLERANCE = 0.01
 # PyBullet never frees the shapes of bodies that were removed, a few kilobytes each.
 _SCENES_PER_WORLD = 500
@@ -65,7 +67,8 @@ class Workcell:
     """Plays scenes of one task.
 
     The start of an episode, the hand closed on the object, is settled once and restored from then
-    on, as long as scenes begin in the same configuration with the same object.
+    on, as long as scenes begin in the same configuration with the same object. Where the object
+    stands on the table, it is set down there for each scene anew.
 
     Args:
         task: whose scenes are played; it says which contacts they need.
@@ -102,11 +105,12 @@ class Workcell:
             ValueError: the hand cannot hold the object, or the scene begins with a collision.
         """
         manipulated = scene.manipulated
-        # A pen, being fixed to the hand, is held alike wherever the episode begins.
-        grasp = (scene.start if manipulated else PEN_CONFIGURATION, manipulated)
+        grasp = _grasp(scene)
         if grasp != self._grasp or self._scenes >= _SCENES_PER_WORLD:
             self._grasp = None
-            self._settle(scene, manipulated)
+            self._furnish(scene, manipulated)
+            if manipulated is None or manipulated.position is None:
+                self._settle(scene, manipulated)
             self._settled = self.world.snapshot()
             self._grasp, self._scenes = grasp, 0
         self._scenes += 1
@@ -114,7 +118,10 @@ class Workcell:
         self.world.restore(self._settled)
         if manipulated is None:
             self.arm.put(scene.start)
-        self.arm.set_reference(scene.start, 1.0)
+        standing = manipulated is not None and manipulated.position is not None
+        self.arm.set_reference(scene.start, 0.0 if standing else 1.0)
+        if manipulated is not None and standing:
+            self._set_down(scene, manipulated)
         for name, goal in goal_bodies(scene).items():
             self.world.place(name, goal.position)
         for name, obstacle in zip(self.world.obstacles, scene.obstacles, strict=True):
@@ -164,8 +171,8 @@ class Workcell:
                 break
         self._measure()
 
-    def _settle(self, scene: Scene, manipulated: ManipulatedObject | None) -> None:
-        """Fill an empty world and let the hand close on the object or the pen."""
+    def _furnish(self, scene: Scene, manipulated: ManipulatedObject | None) -> None:
+        """Fill an empty world: hand open, the object in it, or far away if it is set down later."""
         world = self.world
         world.clear()
         world.add_body("table", (TABLE,), color=_TABLE_COLOR)
@@ -175,12 +182,12 @@ class Workcell:
         if manipulated is None:
             self.arm = Jaco(world, assets.jaco_urdf(pen=True), PEN_CONFIGURATION)
             world.reserve_obstacles()
-            self.arm.set_reference(PEN_CONFIGURATION, 1.0)
-            self._close_hand()
             return
         self.arm = Jaco(world, assets.jaco_urdf(), scene.start)
         block = Obstacle(shape="box", position=_ORIGIN, size=manipulated.size)
-        position, quaternion = self.arm.carried(self._task.object_in_hand)
+        position, quaternion = np.array(_FAR_AWAY), np.array(_IDENTITY)
+        if manipulated.position is None:
+            position, quaternion = self.arm.carried(self._task.object_in_hand)
         world.add_body(
             "object",
             (block,),
@@ -191,10 +198,27 @@ class Workcell:
         )
         set_grip_friction(world, world.body("object"), -1)
         world.reserve_obstacles()
-        self.arm.set_reference(scene.start, 1.0)
+
+    def _set_down(self, scene: Scene, manipulated: ManipulatedObject) -> None:
+        """Put the arm into its start and the object on the table, and let it come to rest."""
+        assert manipulated.position is not None
+        self.arm.put(scene.start)
+        half = manipulated.yaw / 2
+        quaternion = (0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+        self.world.place("object", manipulated.position, quaternion)
+        for _ in range(_STANDING_STEPS):
+            self.arm.track()
+            for _ in range(SUBSTEPS):
+                self.world.step()
+
+    def _settle(self, scene: Scene, manipulated: ManipulatedObject | None) -> None:
+        """Let the hand close on the object or the pen."""
+        self.arm.set_reference(scene.start if manipulated else PEN_CONFIGURATION, 1.0)
         self._close_hand()
+        if manipulated is None:
+            return
         expected, _ = self.arm.carried(self._task.object_in_hand)
-        slip = float(np.linalg.norm(world.pose("object")[0] - expected))
+        slip = float(np.linalg.norm(self.world.pose("object")[0] - expected))
         if slip > _GRASP_TOLERANCE:
             raise ValueError(
                 f"the hand cannot hold an object of half-extents {manipulated.size} m and "
@@ -256,3 +280,17 @@ class Workcell:
             collided=self.collision is not None,
             trace=np.array(self.trace).reshape(-1, 3),
         )
+
+
+def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:
+    """Return what of a scene its snapshot depends on.
+
+    A pen, being fixed to the hand, is held alike wherever the episode begins; an object on the
+    table is set down later.
+    """
+    manipulated = scene.manipulated
+    if manipulated is None:
+        return PEN_CONFIGURATION, None
+    if manipulated.position is None:
+        return scene.start, manipulated
+    return (), manipulated.model_copy(update={"position": _ORIGIN, "yaw": 0.0})

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space
+from smp_planner.grasping import learn_grasping
 from smp_planner.planners import PlannerModel, make_planner
 from smp_planner.policy_file import read_policy, write_policy
 from smp_planner.problem import Plan, Problem
@@ -66,6 +67,7 @@ class PlannerPolicy:
         self.observation_space: spaces.Dict = observation_space(self.task)
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._event: GripperEvent | None = gripper_event(planner.demonstrations.gripper)
+        self._grasping = learn_grasping(planner.demonstrations)
         drawing = planner.demonstrations.scenes[0].goals[0].kind == "stroke"
         self._phases = checkpoint_phases(planner.demonstrations) if drawing else None
         self.set_random_seed(seed)
@@ -145,7 +147,9 @@ class PlannerPolicy:
             for i, digest in digests.items()
             if executions[i] is None or executions[i].digest != digest  # type: ignore[union-attr]
         ]
-        problems = [problem_from(decoded[i], digests[i], self._phases) for i in due]
+        problems = [
+            problem_from(decoded[i], digests[i], self._phases, grasping=self._grasping) for i in due
+        ]
         for i, problem, plan in zip(due, problems, self.planner.plan(problems), strict=True):
             executions[i] = self._execution(plan, problem, decoded[i], deterministic)
         ready = tuple(e for e in executions if e is not None)

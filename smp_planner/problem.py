@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smp_gym.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 
-__all__ = ["GoalRegion", "Plan", "Planner", "Problem", "ViaPoint"]
+__all__ = ["GoalRegion", "Plan", "Planner", "Problem", "Stage", "ViaPoint", "ViaPose"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -55,6 +55,54 @@ class GoalRegion:
 
 
 @dataclass(frozen=True)
+class ViaPose:
+    """A pose that the hand must take at a phase.
+
+    Attributes:
+        phase: in [0, 1].
+        pose: (4, 4) of the end effector in the base frame.
+        rest: whether the arm stands still there.
+    """
+
+    phase: float
+    pose: FloatArray
+    rest: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.phase <= 1.0:
+            raise ValueError(f"ViaPose.phase must lie in [0, 1], got {self.phase}")
+        object.__setattr__(self, "pose", _checked("ViaPose.pose", self.pose, (4, 4)))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stretch of the trajectory, and what must stay clear of what meanwhile.
+
+    Attributes:
+        first: phase at which it begins.
+        last: phase at which it ends.
+        spheres: all that move: of the arm, and what moves with the hand.
+        obstacles: all that these must not touch.
+    """
+
+    first: float
+    last: float
+    spheres: SphereSet
+    obstacles: tuple[Obstacle, ...]
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.first < self.last <= 1.0:
+            raise ValueError(f"a Stage must lie in [0, 1], got {self.first} to {self.last}")
+
+    def steps(self, count: int) -> slice:
+        """Return which of `count` equal steps of phase cover the stage, its ends included."""
+        last = count - 1
+        # The margin is for phases that rounding puts a hair beyond a step.
+        begin = int(np.floor(self.first * last + 1e-9))
+        return slice(begin, int(np.ceil(self.last * last - 1e-9)) + 1)
+
+
+@dataclass(frozen=True)
 class ViaPoint:
     """A place that a point carried by the hand must pass at about a phase.
 
@@ -91,6 +139,9 @@ class Problem:
         goals: at least one region; ending in any of them will do.
         seed: from which all randomness of the plan is drawn.
         via_points: to be passed on the way, in the order of their phases.
+        via_poses: poses on the way, in the order of their phases.
+        stages: what must stay clear of what at which phases, where that changes on the way; empty
+            if the arm with all that is attached must stay clear of all obstacles throughout.
     """
 
     start: FloatArray
@@ -99,6 +150,8 @@ class Problem:
     goals: tuple[GoalRegion, ...]
     seed: int
     via_points: tuple[ViaPoint, ...] = ()
+    via_poses: tuple[ViaPose, ...] = ()
+    stages: tuple[Stage, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", _checked("Problem.start", self.start, (6,)))

@@ -7,6 +7,7 @@ import numpy as np
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import (
     PEN_TIP,
+    arm_spheres,
     box_spheres,
     concatenate,
     end_effector_pose,
@@ -14,8 +15,9 @@ from smp_gym.kinematics import (
     pen_spheres,
 )
 from smp_gym.observation import DecodedObservation
-from smp_gym.scene import BIN_HEIGHT, STROKE_POINTS, Goal, fixtures
-from smp_planner.problem import GoalRegion, Problem, ViaPoint
+from smp_gym.scene import BIN_HEIGHT, STROKE_POINTS, Goal, Obstacle, fixtures
+from smp_planner.grasping import Grasping, upright_pose
+from smp_planner.problem import GoalRegion, Problem, Stage, ViaPoint, ViaPose
 
 __all__ = ["checkpoint_phases", "problem_from"]
 
@@ -35,6 +37,9 @@ END_HALF_WIDTH = 0.01
 
 CHECKPOINT_TOLERANCE = 0.036
 """How near a plan leads the pen to the checkpoints of a stroke, m; the task allows 4 cm."""
+
+LIFT_HALF_WIDTH = 0.01
+"""Half width of the cube about the target in which the lifted object's centre ends, m."""
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -62,6 +67,50 @@ def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalReg
     lower = (x - RELEASE_HALF_WIDTH, y - RELEASE_HALF_WIDTH, rim + least)
     upper = (x + RELEASE_HALF_WIDTH, y + RELEASE_HALF_WIDTH, rim + greatest)
     return GoalRegion(point, np.array(lower), np.array(upper))
+
+
+def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping) -> Problem:
+    """Return the problem of grasping an object on the way and carrying it to a target.
+
+    Until the demonstrated contact begins, the object is an obstacle; then the hand may touch it;
+    once the hand has closed, it is carried, and may touch what it stands on.
+    """
+    size = decoded.object.size
+    turn = _rotation(decoded.object.quaternion)
+    yaw = float(np.arctan2(turn[1, 0], turn[0, 0]))
+    frame = upright_pose(decoded.object.position, yaw)
+    held = grasping.object_in_hand
+    arm, box = arm_spheres(), box_spheres(size, held)
+    opened = concatenate(arm, finger_spheres(decoded.robot.finger_angles))
+    fingers = finger_spheres(grasping.finger_angles)
+    x, y, z = frame[:3, 3].tolist()
+    block = Obstacle(
+        shape="box",
+        position=(x, y, z),
+        quaternion=(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))),
+        size=tuple(size.tolist()),
+    )
+    obstacles = decoded.scene.obstacles
+    solid = (*obstacles, *fixtures(decoded.scene))
+    contact, grasp = float(grasping.phases[0]), grasping.phase
+    target = np.array(decoded.scene.goals[0].position)
+    return Problem(
+        start=decoded.robot.reference,
+        obstacles=solid,
+        attached=concatenate(fingers, box),
+        goals=(GoalRegion(held[:3, 3], target - LIFT_HALF_WIDTH, target + LIFT_HALF_WIDTH),),
+        seed=seed,
+        via_poses=tuple(
+            ViaPose(float(phase), frame @ pose, rest=phase == grasp)
+            for phase, pose in zip(grasping.phases, grasping.poses, strict=True)
+        ),
+        stages=(
+            Stage(0.0, contact, opened, (*solid, block)),
+            Stage(contact, grasp, opened, solid),
+            Stage(grasp, 1.0, concatenate(arm, fingers), solid),
+            Stage(grasp, 1.0, box, obstacles),
+        ),
+    )
 
 
 def checkpoint_phases(demonstrations: Demonstrations) -> np.ndarray:
@@ -101,7 +150,11 @@ def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray 
 
 
 def problem_from(
-    decoded: DecodedObservation, seed: int, phases: np.ndarray | None = None
+    decoded: DecodedObservation,
+    seed: int,
+    phases: np.ndarray | None = None,
+    *,
+    grasping: Grasping | None = None,
 ) -> Problem:
     """Return the problem that one observation poses.
 
@@ -112,9 +165,17 @@ def problem_from(
         seed: of the plan's randomness.
         phases: (`STROKE_POINTS`,) when a stroke's checkpoints are due, from `checkpoint_phases`;
             by default at equal steps.
+        grasping: what demonstrations teach about a grasp on the way; see `learn_grasping`.
+
+    Raises:
+        ValueError: the task is to grasp an object, and `grasping` is None.
     """
     if decoded.scene.goals[0].kind == "stroke":
         return _drawing_problem(decoded, seed, phases)
+    if decoded.scene.goals[0].kind == "lift":
+        if grasping is None:
+            raise ValueError("grasping must be given where an object is to be grasped, got None")
+        return _grasping_problem(decoded, seed, grasping)
     hand = end_effector_pose(decoded.robot.configuration)
     object_pose = np.eye(4)
     object_pose[:3, :3] = _rotation(decoded.object.quaternion)

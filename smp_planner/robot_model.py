@@ -14,7 +14,7 @@ from smp_gym import kinematics
 from smp_gym.kinematics import SphereSet
 from smp_planner import compiled
 
-__all__ = ["LinkPairs", "RobotModel", "jaco_model"]
+__all__ = ["LinkPairs", "RobotModel", "jaco_model", "jaco_of_spheres"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -248,6 +248,15 @@ def jaco_model(attached: SphereSet | None = None) -> RobotModel:
     spheres = kinematics.arm_spheres()
     if attached is not None:
         spheres = kinematics.concatenate(spheres, attached)
+    return jaco_of_spheres(spheres)
+
+
+def jaco_of_spheres(spheres: SphereSet) -> RobotModel:
+    """Return the JACO j2s6s200 with the given spheres in place of its own.
+
+    Args:
+        spheres: of arm, fingers and held things, or a part of them.
+    """
     return RobotModel(
         base=kinematics.BASE_TRANSFORM,
         joint_origins=kinematics.JOINT_ORIGINS,

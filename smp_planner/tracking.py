@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from smp_gym.kinematics import JOINT_VELOCITY
 from smp_gym.observation import CONTROL_PERIOD
 
-__all__ = ["SETTLING_STEPS", "GripperEvent", "Track", "gripper_event"]
+__all__ = ["CLOSING_STEPS", "SETTLING_STEPS", "GripperEvent", "Track", "gripper_event"]
 
 SETTLING_STEPS = 4
 """Control steps between arriving and opening the hand, so that the object drops from rest."""
+
+CLOSING_STEPS = 20
+"""Control steps for which the arm stands still on its way while the hand closes."""
 
 FloatArray = NDArray[np.float64]
 
@@ -89,9 +92,18 @@ class Track:
             reference: (6,) rad, the reference that the environment holds now.
         """
         elapsed = step - self.first_step
-        target = self.reference((elapsed + 1) * CONTROL_PERIOD)
+        target = self.reference(self._time(elapsed + 1))
         velocity = (target - reference) / (CONTROL_PERIOD * JOINT_VELOCITY)
         return np.append(np.clip(velocity, -1.0, 1.0), self._gripper(elapsed)).astype(np.float32)
+
+    def _time(self, elapsed: int) -> float:
+        """Return the time of the trajectory, s, that is due after so many control steps."""
+        time = elapsed * CONTROL_PERIOD
+        if self.event is None or self.event.command < 0.0 or self.event.phase >= 1.0:
+            return time
+        begin = self.event.phase * self.duration
+        held = np.ceil(begin / CONTROL_PERIOD) + CLOSING_STEPS
+        return min(time, begin) if elapsed <= held else time - CLOSING_STEPS * CONTROL_PERIOD
 
     def _gripper(self, elapsed: int) -> float:
         if self.event is None:

@@ -15,6 +15,7 @@ from smp_gym.scene import TASKS, Scene
 from smp_gym.tasks.double_sided_placement import DoubleSidedPlacement
 from smp_gym.tasks.draw_s import DrawS
 from smp_gym.tasks.placement import Placement
+from smp_gym.tasks.push_lift_box import PushLiftBox
 from smp_gym.tasks.status import Status
 
 __all__ = ["Status", "Task", "make_task"]
@@ -38,7 +39,7 @@ class Task(Protocol):
 
     @property
     def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of object or pen's tip in the end-effector frame at the start."""
+        """(4, 4) pose of object or pen's tip in the end-effector frame once the hand holds it."""
         ...
 
     def check_scene(self, scene: Scene) -> None:
@@ -96,7 +97,7 @@ def make_task(name: str) -> Task:
     Raises:
         ValueError: no such task.
     """
-    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement(), DrawS())
+    known: tuple[Task, ...] = (Placement(), DoubleSidedPlacement(), DrawS(), PushLiftBox())
     tasks = {task.name: task for task in known}
     if name not in tasks:
         raise ValueError(f"task must be one of {', '.join(TASKS)}; got {name!r}")

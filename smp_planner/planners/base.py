@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import UnreachableError
+from smp_gym.kinematics import UnreachableError, inverse_kinematics
 from smp_planner.movement_primitives import (
     ProMP,
     ProMPMixture,
@@ -26,8 +26,8 @@ from smp_planner.movement_primitives import (
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planners.judging import choose, goal_distance, missed_via_points
 from smp_planner.problem import Plan, Problem, ViaPoint
-from smp_planner.robot_model import RobotModel, jaco_model
-from smp_planner.verification import verify
+from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
+from smp_planner.verification import Verification, check_collisions, verify
 
 __all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
 
@@ -42,9 +42,11 @@ GOAL_STD = 0.005
 POSTURE_STD = 0.1
 """Standard deviation, rad, that the final posture keeps around the one found for the goal."""
 
+VIA_POSE_STD = 0.002
+"""Standard deviation, rad, with which the primitive is conditioned on a via-pose."""
+
 REACHED = 0.02
 """Distance, m, from a goal region up to which a posture is taken to reach it."""
-
 
 VIA_STD = 0.02
 """Standard deviation, m, with which the primitive is conditioned on via-points."""
@@ -201,6 +203,7 @@ def _tie(
     start = torch.from_numpy(problem.start)
     tied = primitive.condition(0.0, start).condition(0.0, rest, derivative=True)
     tied = tied.condition(1.0, rest, derivative=True)
+    tied = _through_poses(tied, problem)
     if through:
         tied = _through(tied, through, robot)
     posture = _final_posture(tied, problem, robot)
@@ -213,6 +216,29 @@ def _tie(
     covariance = torch.from_numpy(np.linalg.inv(information))
     tied = tied.condition(1.0, torch.from_numpy(posture), (covariance + covariance.mT) / 2)
     return TiedPrimitive(tied, posture)
+
+
+def _through_poses(primitive: ProMP, problem: Problem) -> ProMP:
+    """Return the primitive conditioned on the via-poses of a problem.
+
+    A pose leaves an arm of six joints no freedom but the choice of a branch: the configuration
+    nearest to what the primitive expects is taken.
+
+    Raises:
+        UnreachableError: a via-pose is out of reach.
+    """
+    rest = torch.zeros(primitive.dimension, dtype=torch.float64)
+    spread = VIA_POSE_STD**2 * torch.eye(primitive.dimension, dtype=torch.float64)
+    near: FloatArray | None = None
+    # The last one first: the arm is stretched there, and away from its joint limits.
+    for via in reversed(problem.via_poses):
+        if near is None:
+            near = primitive.marginal(via.phase)[0].numpy()
+        near = inverse_kinematics(via.pose[:3, 3], via.pose[:3, :3], seed=near)
+        primitive = primitive.condition(via.phase, torch.from_numpy(near), spread)
+        if via.rest:
+            primitive = primitive.condition(via.phase, rest, derivative=True)
+    return primitive
 
 
 class PlannerModel(ABC):
@@ -351,7 +377,7 @@ class PlannerModel(ABC):
             weights = torch.cat([p.tied.primitive.unwhiten(p.latent) for p in particles])
             primitive = particles[0].tied.primitive
             trajectories = primitive.trajectory(weights, SAMPLES).numpy()
-            verdict = verify(trajectories, robot, problem.obstacles, self.settings.duration_limit)
+            verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
             executable = verdict.executable
             goal_error = goal_distance(problem, robot, trajectories[:, -1])
             prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
@@ -393,6 +419,21 @@ class PlannerModel(ABC):
             components=components,
             passing=passing,
         )
+
+
+def _verified(
+    trajectories: FloatArray, robot: RobotModel, problem: Problem, duration_limit: float
+) -> Verification:
+    """Return what `verify` finds, with collisions looked for stage by stage if there are stages."""
+    if not problem.stages:
+        return verify(trajectories, robot, problem.obstacles, duration_limit)
+    whole = verify(trajectories, robot, (), duration_limit)
+    free, clearance = whole.collision_free, whole.clearance
+    for stage in problem.stages:
+        part = trajectories[:, stage.steps(trajectories.shape[1])]
+        check = check_collisions(part, jaco_of_spheres(stage.spheres), stage.obstacles)
+        free, clearance = free & check.free, np.minimum(clearance, check.clearance)
+    return replace(whole, collision_free=free, clearance=clearance)
 
 
 def jaco_with(problem: Problem) -> RobotModel:

@@ -309,6 +309,14 @@ def _one(
     return _timed(path, problem, checker.robot, checker.world.margin)
 
 
+def _check_single_stage(problem: Problem) -> None:
+    if problem.via_poses or problem.stages:
+        raise ValueError(
+            "rrt_connect searches from a start to a goal; it cannot solve problems with via-poses "
+            f"or stages, got {len(problem.via_poses)} and {len(problem.stages)}"
+        )
+
+
 def _approach(
     problem: Problem, robot: RobotModel, postures: ArrayLike, settings: RRTConnectSettings
 ) -> tuple[EdgeChecker, FloatArray]:
@@ -348,8 +356,10 @@ def solve(
         (T,6) rad, from rest to rest at equal steps of phase.
 
     Raises:
-        ValueError: `postures` has the wrong shape or is not finite.
+        ValueError: `postures` has the wrong shape or is not finite, or the problem has via-poses or
+            stages.
     """
+    _check_single_stage(problem)
     settings = settings or RRTConnectSettings()
     checker, goals = _approach(problem, jaco_with(problem), postures, settings)
     return _one(problem, checker, goals, 0, settings)
@@ -368,6 +378,7 @@ class RRTConnectPlanner(PlannerModel):
     settings: RRTConnectSettings
 
     def _plan(self, problem: Problem) -> Plan:
+        _check_single_stage(problem)
         settings = self.settings
         stopwatch = Stopwatch()
         with stopwatch.stage("conditioning"):

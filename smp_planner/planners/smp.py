@@ -13,6 +13,7 @@ from pydantic import Field
 from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
+from smp_gym.scene import Obstacle
 from smp_planner.costs import (
     CarriedBoxCost,
     CollisionCost,
@@ -40,8 +41,8 @@ from smp_planner.planners.base import (
     TiedPrimitive,
     jaco_with,
 )
-from smp_planner.problem import Plan, Problem
-from smp_planner.robot_model import RobotModel
+from smp_planner.problem import Plan, Problem, Stage
+from smp_planner.robot_model import RobotModel, jaco_of_spheres
 
 __all__ = ["SMPPlanner", "SMPSettings"]
 
@@ -170,13 +171,13 @@ class SMPPlanner(PlannerModel):
         return latent, likelihood.costs((values @ weights.reshape(shape)).numpy())
 
 
-def _baked_map(problem: Problem, settings: SMPSettings) -> DistanceGrid:
-    """Return the scene's neural occupancy map as a grid of distance."""
+def _baked_map(obstacles: tuple[Obstacle, ...], seed: int, settings: SMPSettings) -> DistanceGrid:
+    """Return the neural occupancy map of obstacles as a grid of distance."""
     if settings.map == "shapes":
-        return bake(ShapeNetworkMap(problem.obstacles, default_networks()))
-    rng = np.random.default_rng([problem.seed, 2])
-    points, labels = sample_labelled_points(problem.obstacles, settings.map_points, rng)
-    network = train_map(points, labels, inflation=INFLATION, seed=problem.seed % 2**63)
+        return bake(ShapeNetworkMap(obstacles, default_networks()))
+    rng = np.random.default_rng([seed, 2])
+    points, labels = sample_labelled_points(obstacles, settings.map_points, rng)
+    network = train_map(points, labels, inflation=INFLATION, seed=seed % 2**63)
     return bake(PointNetworkMap.of(network))
 
 
@@ -207,7 +208,15 @@ class Likelihood:
 
     def __init__(self, problem: Problem, robot: RobotModel, settings: SMPSettings) -> None:
         self._settings = settings
-        self._obstacles = CollisionCost(robot, _baked_map(problem, settings))
+        stages = problem.stages or (Stage(0.0, 1.0, robot.spheres, problem.obstacles),)
+        maps: dict[tuple[Obstacle, ...], DistanceGrid] = {}
+        for stage in stages:
+            if stage.obstacles not in maps:
+                maps[stage.obstacles] = _baked_map(stage.obstacles, problem.seed, settings)
+        self._stages = [
+            (stage, CollisionCost(jaco_of_spheres(stage.spheres), maps[stage.obstacles]))
+            for stage in stages
+        ]
         terms: dict[str, tuple[float, Cost]] = {
             "self_collision": (settings.self_collision_weight, SelfCollisionCost(robot)),
             "goal": (1.0, GoalCost(robot, problem.goals, settings.goal_sigma)),
@@ -233,16 +242,30 @@ class Likelihood:
         """
         first, last = self._settings.edge_width
         width = first * (last / first) ** progress
-        gradient = (
-            self._settings.obstacle_weight
-            * self._obstacles(trajectories, edge_width=width, margin=self._settings.margin)[1]
-        )
+        _, collision = self._collision(trajectories, width, self._settings.margin)
+        gradient = self._settings.obstacle_weight * collision
         for weight, cost in self._terms.values():
             gradient += weight * cost(trajectories)[1]
         return gradient
 
+    def _collision(
+        self, trajectories: FloatArray, width: float, margin: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the collision cost (P,) of all stages and its gradient (P, T, 6)."""
+        count = trajectories.shape[1]
+        value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
+        for stage, cost in self._stages:
+            steps = stage.steps(count)
+            part = trajectories[:, steps]
+            # A cost is scaled to a number of steps: a stage has its share of them.
+            share = part.shape[1] / count
+            of_stage, slope = cost(part, edge_width=width, margin=margin)
+            value += share * of_stage
+            gradient[:, steps] += share * slope
+        return value, gradient
+
     def costs(self, trajectories: FloatArray) -> dict[str, FloatArray]:
         """Return the unweighted costs (P,) by name, with the map's edge at its last width."""
         width = self._settings.edge_width[1]
-        costs = {"obstacles": self._obstacles(trajectories, edge_width=width)[0]}
+        costs = {"obstacles": self._collision(trajectories, width, 0.0)[0]}
         return costs | {name: cost(trajectories)[0] for name, (_, cost) in self._terms.items()}

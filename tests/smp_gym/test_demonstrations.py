@@ -314,7 +314,7 @@ def test_scripted_movements_end_just_above_either_pad(script, way):
 
 
 def test_the_script_knows_its_tasks(script, tmp_path):
-    with pytest.raises(typer.BadParameter, match=r"DoubleSidedPlacement.*; got 'Juggling'"):
+    with pytest.raises(typer.BadParameter, match=r"DoubleSided.*PushLiftBox; got 'Juggling'"):
         script.main(tmp_path / "Juggling.npz", task="Juggling")
 
 
