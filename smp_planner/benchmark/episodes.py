@@ -158,9 +158,11 @@ def environment_id(task: str) -> str:
 
 def _goal_error(decoded: DecodedObservation) -> float:
     """Return the distance of object or pen to the nearest place where it should end, m."""
-    places = np.array([goal.position for goal in decoded.scene.goals])
-    if decoded.scene.manipulated is not None:
-        places[:, 2] += decoded.object.size[2]
+    goals = decoded.scene.goals
+    places = np.array([goal.position for goal in goals])
+    # What is set down rests on its goal, with its centre half its height above.
+    set_down = [goal.kind in ("bin", "pad") for goal in goals]
+    places[set_down, 2] += decoded.object.size[2]
     return float(np.linalg.norm(places - decoded.object.position, axis=1).min())
 
 
