@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from smp_gym.kinematics import GRASP_CENTER
 from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Scene
-from smp_gym.tasks.placing import POTENTIAL_PER_METRE, PlacingTask, goal_columns
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, goal_columns
+from smp_gym.tasks.placing import PlacingTask
 from smp_gym.tasks.status import Status
 
 __all__ = [

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, PEN_TIP
+from smp_gym.kinematics import PEN_TIP
 from smp_gym.scene import STROKE_POINTS, Obstacle, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_still_and_startable
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -42,8 +43,6 @@ PEN_CONFIGURATION = (-1.52, 2.96, 0.83, 0.63, 3.07, -0.61)
 
 _SUBDIVISION = 3
 """Points into which the line between two neighbouring points of the trace is cut."""
-
-_POTENTIAL_PER_METRE = 100.0
 
 _STROKE = slice(0, 3 * STROKE_POINTS)
 _DEMANDED = slice(3 * STROKE_POINTS, 4 * STROKE_POINTS)
@@ -166,17 +165,7 @@ class DrawS:
         if [goal.kind for goal in scene.goals] != ["stroke"]:
             kinds = ", ".join(goal.kind for goal in scene.goals)
             raise ValueError(f"scene.goals must hold one stroke, got {kinds}")
-        moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
-        if moving:
-            raise ValueError(
-                f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
-            )
-        start = np.array(scene.start)
-        if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
-            raise ValueError(
-                f"scene.start must lie between {JOINT_LOWER.round(4).tolist()} and "
-                f"{JOINT_UPPER.round(4).tolist()} rad, got {start.tolist()}"
-            )
+        check_still_and_startable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
@@ -241,7 +230,7 @@ class DrawS:
         left[..., :-1] = np.cumsum(steps[..., ::-1], axis=-1)[..., ::-1]
         distance = np.linalg.norm(_points(achieved)[..., -1, :] - point, axis=-1)
         remaining = np.take_along_axis(left, upcoming, axis=-1)[..., 0]
-        return np.asarray(-_POTENTIAL_PER_METRE * (distance + remaining))
+        return np.asarray(-POTENTIAL_PER_METRE * (distance + remaining))
 
     def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
         """Return nothing: goals tell no more than success."""

@@ -10,12 +10,8 @@ from numpy.typing import NDArray
 
 from smp_gym.kinematics import GRASP_CENTER
 from smp_gym.scene import BIN_HEIGHT, BIN_INNER_HALF_WIDTH
-from smp_gym.tasks.placing import (
-    GRASP_FINGER_ANGLES,
-    POTENTIAL_PER_METRE,
-    PlacingTask,
-    goal_columns,
-)
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, goal_columns
+from smp_gym.tasks.placing import GRASP_FINGER_ANGLES, PlacingTask
 from smp_gym.tasks.status import Status
 
 __all__ = [

@@ -8,12 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER
-from smp_gym.observation import GOAL_LAYOUTS
 from smp_gym.scene import Scene
+from smp_gym.tasks.common import check_still_and_startable, goal_columns
 from smp_gym.tasks.status import Status
 
-__all__ = ["GRASP_FINGER_ANGLES", "POTENTIAL_PER_METRE", "PlacingTask", "goal_columns"]
+__all__ = ["GRASP_FINGER_ANGLES", "PlacingTask"]
 
 FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
@@ -21,20 +20,7 @@ BoolArray = NDArray[np.bool_]
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
 
-POTENTIAL_PER_METRE = 100.0
-"""By how much the dense reward's potential rises on the way to the goal."""
-
 _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
-
-
-def goal_columns(task: str, name: str) -> slice:
-    """Return where a field stands in the goal vectors of a task."""
-    start = 0
-    for field in GOAL_LAYOUTS[task]:
-        if field.name == name:
-            return slice(start, start + field.size)
-        start += field.size
-    raise KeyError(name)
 
 
 @dataclass(frozen=True)
@@ -73,17 +59,7 @@ class PlacingTask:
         kinds = [goal.kind for goal in scene.goals if goal.kind != self.support]
         if kinds:
             raise ValueError(f"scene.goals must be of kind {self.support!r}, got {kinds[0]!r}")
-        moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
-        if moving:
-            raise ValueError(
-                f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
-            )
-        start = np.array(scene.start)
-        if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
-            raise ValueError(
-                f"scene.start must lie between {JOINT_LOWER.round(4).tolist()} and "
-                f"{JOINT_UPPER.round(4).tolist()} rad, got {start.tolist()}"
-            )
+        check_still_and_startable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER
 from smp_gym.scene import ManipulatedObject, Scene
-from smp_gym.tasks.placing import POTENTIAL_PER_METRE, goal_columns
+from smp_gym.tasks.common import (
+    POTENTIAL_PER_METRE,
+    check_still_and_startable,
+    goal_columns,
+)
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -151,17 +154,7 @@ class PushLiftBox:
                 f"the target must be at least {half + TOLERANCE} m above the table, so that the "
                 f"box must be lifted; got {scene.goals[0].position[2]}"
             )
-        moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
-        if moving:
-            raise ValueError(
-                f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
-            )
-        start = np.array(scene.start)
-        if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
-            raise ValueError(
-                f"scene.start must lie between {JOINT_LOWER.round(4).tolist()} and "
-                f"{JOINT_UPPER.round(4).tolist()} rad, got {start.tolist()}"
-            )
+        check_still_and_startable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""

@@ -1,0 +1,42 @@
+"""What all tasks share: checks of scenes, the layout of goals, the scale of the dense reward."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER
+from smp_gym.observation import GOAL_LAYOUTS
+from smp_gym.scene import Scene
+
+__all__ = ["POTENTIAL_PER_METRE", "check_still_and_startable", "goal_columns"]
+
+POTENTIAL_PER_METRE = 100.0
+"""By how much the dense reward's potential rises on the way to the goal."""
+
+
+@cache
+def goal_columns(task: str, name: str) -> slice:
+    """Return where a field stands in the goal vectors of a task."""
+    start = 0
+    for field in GOAL_LAYOUTS[task]:
+        if field.name == name:
+            return slice(start, start + field.size)
+        start += field.size
+    raise KeyError(name)
+
+
+def check_still_and_startable(scene: Scene) -> None:
+    """Raise ValueError if an obstacle moves or the start is outside the joint limits."""
+    moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
+    if moving:
+        raise ValueError(
+            f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
+        )
+    start = np.array(scene.start)
+    if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
+        raise ValueError(
+            f"scene.start must lie between {JOINT_LOWER.round(4).tolist()} and "
+            f"{JOINT_UPPER.round(4).tolist()} rad, got {start.tolist()}"
+        )
