@@ -134,7 +134,7 @@ class Workcell:
         self.trace: list[FloatArray] = []
         self._calm_steps = 0
         self._squeezing = True
-        self._contacts: set[Contact] = set()
+        self._contacts: frozenset[Contact] = frozenset()
         if self._collides():
             raise ValueError(f"the scene begins with a collision: {self.collision}")
         self._measure()
@@ -164,7 +164,7 @@ class Workcell:
         self.arm.integrate(action)
         self.arm.track()
         self._squeezing = self.arm.squeezes(self.robot)
-        self._contacts = set()
+        self._contacts = frozenset()
         for _ in range(SUBSTEPS):
             self.world.step()
             if self._collides():

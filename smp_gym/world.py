@@ -159,7 +159,8 @@ class BulletWorld:
         self.set_gravity(True)
         self._bodies: dict[str, int] = {}
         self._parts: dict[tuple[int, int], str] = {}
-        self._pairs: dict[tuple[int, int, int, int], Contact] = {}
+        self._touching: frozenset[tuple[int, int, int, int]] = frozenset()
+        self._contacts: frozenset[Contact] = frozenset()
         self._obstacles: list[str] = []
 
     def set_gravity(self, on: bool) -> None:
@@ -300,19 +301,18 @@ class BulletWorld:
         """Bring `contacts` up to date without advancing time."""
         pybullet.performCollisionDetection(physicsClientId=self.client)
 
-    def contacts(self) -> set[Contact]:
+    def contacts(self) -> frozenset[Contact]:
         """Return the pairs of parts that touch: that press on each other or overlap."""
-        pairs = self._pairs
-        found = set()
-        for point in pybullet.getContactPoints(physicsClientId=self.client):
+        touching = frozenset(
+            point[1:5]
+            for point in pybullet.getContactPoints(physicsClientId=self.client)
             # The engine also reports points that are merely near (distance > 0, no force).
-            if point[9] > 0.0 or point[8] < 0.0:
-                key = point[1:5]
-                pair = pairs.get(key)
-                if pair is None:
-                    pair = pairs[key] = self._pair(*key)
-                found.add(pair)
-        return found
+            if point[9] > 0.0 or point[8] < 0.0
+        )
+        if touching != self._touching:
+            self._touching = touching
+            self._contacts = frozenset(self._pair(*key) for key in touching)
+        return self._contacts
 
     def clearance(self, names: Iterable[str], others: Iterable[str], limit: float) -> float:
         """Return the least distance between two groups of bodies, m.
@@ -410,7 +410,7 @@ class BulletWorld:
         body = self._bodies.pop(name)
         del self._parts[body, -1]
         # PyBullet gives the numbers of removed bodies to new ones.
-        self._pairs = {key: pair for key, pair in self._pairs.items() if body not in key[:2]}
+        self._touching, self._contacts = frozenset(), frozenset()
         pybullet.removeBody(body, physicsClientId=self.client)
 
     def _park(self, slot: int, obstacle: Obstacle) -> None:

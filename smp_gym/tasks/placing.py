@@ -84,6 +84,8 @@ class PlacingTask:
         """Return whether goals (..., G) tell of an object let go and at rest elsewhere, (...)."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         placed = (achieved[..., released] > 0.5) & (achieved[..., at_rest] > 0.5)
+        if not placed.any():
+            return np.asarray(placed)
         return np.asarray(placed & ~self.success(achieved, desired))
 
     def _flag(self, name: str) -> int:
