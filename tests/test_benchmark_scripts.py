@@ -6,9 +6,12 @@ import os
 import re
 import subprocess
 import sys
+from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from smp_gym.frozen import load_episodes
 
@@ -68,3 +71,28 @@ def test_speed_is_measured_in_several_processes() -> None:
     assert [row[0] for row in rows] == ["1", "2"]
     assert all(int(rate) > 0 for row in rows for rate in row[1:])
     assert all(len(row) == 4 for row in rows)
+
+
+def test_a_sheet_shows_its_scenes(tmp_path: Path) -> None:
+    options = ("--tasks", "Placement", "--difficulties", "easy", "--scenes", "5")
+    result = _run("draw_scenes.py", *options, "--out", str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["Placement_easy.png"]
+    with Image.open(tmp_path / "Placement_easy.png") as image:
+        sheet = np.asarray(image.convert("RGB"), np.float64)
+    height, width, _ = sheet.shape
+    shown = [
+        sheet[row * height // 2 :, column * width // 4 :][: height // 2, : width // 4]
+        for row, column in ((0, 0), (0, 1), (1, 0), (1, 1))
+    ]
+    scenes, empty = shown[:3], shown[3]
+    assert empty.std() < 0.3 * min(scene.std() for scene in scenes)
+    for first, second in combinations(scenes, 2):
+        assert np.abs(first - second).mean() > 2.0
+
+
+def test_a_sheet_of_tuning_and_evaluation_scenes_is_refused(tmp_path: Path) -> None:
+    result = _run("draw_scenes.py", "--seed", "99995", "--out", str(tmp_path / "sheets"))
+    assert result.returncode == 2
+    assert "100000" in result.stderr
+    assert not (tmp_path / "sheets").exists()
