@@ -1,8 +1,9 @@
 """Train a reinforcement-learning agent on a task: stable-baselines3's SAC, as a rule with HER.
 
 The hyper-parameters are data, a JSON file per environment id in `envs_assets/agents/`:
-``environments`` (how many are stepped in turn), ``sac`` (arguments of `stable_baselines3.SAC`) and
-``her`` (arguments of `HerReplayBuffer`, or null to train on the goals as they are).
+``environments`` (how many are stepped in turn), ``observations`` (which entries of the observation
+the agent sees, or null for all), ``sac`` (arguments of `stable_baselines3.SAC`) and ``her``
+(arguments of `HerReplayBuffer`, or null to train on the goals as they are).
 
 The folder that is written holds
 
@@ -23,12 +24,14 @@ import shutil
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, astuple, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium
 import torch
 import typer
+from gymnasium.wrappers import FilterObservation
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -40,7 +43,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.assets import asset_path
-from smp_gym.observation import MAX_EPISODE_STEPS
+from smp_gym.observation import MAX_EPISODE_STEPS, observation_space
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
 from smp_planner.benchmark.report import rate_interval
 
@@ -56,11 +59,14 @@ class Settings:
 
     Attributes:
         environments: stepped in turn, in this process.
+        observations: entries of the observation that the agent sees; None for all. Where there are
+            no obstacles, leaving out their rows of zeros makes learning faster.
         sac: arguments of `stable_baselines3.SAC`.
         her: arguments of `stable_baselines3.HerReplayBuffer`; None for none.
     """
 
     environments: int
+    observations: list[str] | None
     sac: dict[str, Any]
     her: dict[str, Any] | None
 
@@ -83,6 +89,16 @@ class Settings:
         if not (isinstance(settings.environments, int) and settings.environments >= 1):
             raise ValueError(
                 f"environments in {path} must be at least 1, got {settings.environments!r}"
+            )
+        known = list(observation_space(TASKS[0]))
+        if settings.observations is not None and not (
+            isinstance(settings.observations, list)
+            and settings.observations
+            and set(settings.observations) <= set(known)
+        ):
+            raise ValueError(
+                f"observations in {path} must be null or of {', '.join(known)}; "
+                f"got {settings.observations!r}"
             )
         if settings.her is not None:
             needed = settings.environments * MAX_EPISODE_STEPS
@@ -128,6 +144,10 @@ class Evaluation:
 def environment_id(task: str, *, dense: bool) -> str:
     """Return the Gymnasium id of a task with the sparse or the dense reward."""
     return f"smp_gym/{task}{'Dense' if dense else ''}-v0"
+
+
+def _only(env: gymnasium.Env[Any, Any], observations: list[str] | None) -> gymnasium.Env[Any, Any]:
+    return FilterObservation(env, observations) if observations else env
 
 
 def evaluate(model: SAC, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluation:
@@ -288,9 +308,13 @@ class Training:
                 "settings": asdict(settings),
             }
         )
-        self._test_env = gymnasium.make(self._id, difficulty=difficulty)
+        view = partial(_only, observations=settings.observations)
+        self._test_env = view(gymnasium.make(self._id, difficulty=difficulty))
         env = make_vec_env(
-            self._id, n_envs=settings.environments, env_kwargs={"difficulty": difficulty}
+            self._id,
+            n_envs=settings.environments,
+            env_kwargs={"difficulty": difficulty},
+            wrapper_class=view,
         )
         self.model = load_checkpoint(folder, env) or make_model(env, settings, seed)
         # After a restart other episodes than those that came first.

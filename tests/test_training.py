@@ -1,6 +1,7 @@
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -9,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import typer
+from gymnasium.wrappers import FilterObservation
 from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 from typer.testing import CliRunner, Result
@@ -20,6 +22,7 @@ SCRIPT = Path(__file__).parents[1] / "scripts" / "train_agent.py"
 ID = "smp_gym/Placement-v0"
 TINY: dict[str, Any] = {
     "environments": 1,
+    "observations": ["observation", "achieved_goal", "desired_goal"],
     "sac": {
         "learning_starts": MAX_EPISODE_STEPS,
         "batch_size": 32,
@@ -28,6 +31,10 @@ TINY: dict[str, Any] = {
     },
     "her": {"n_sampled_goal": 4, "goal_selection_strategy": "future"},
 }
+
+
+def _seen(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    return FilterObservation(env, TINY["observations"])
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +77,7 @@ def trained(script: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def test_training_learns_from_hindsight_and_goes_on(script: ModuleType, trained: Path) -> None:
     evaluations = script.read_evaluations(trained / "out" / "evaluations.csv")
     assert [e.steps for e in evaluations] == [300, 450, 600]
-    env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
     model = script.load_checkpoint(trained / "out", env)
     assert model.num_timesteps == 600
     # One gradient step for each step from the second after `learning_starts` on.
@@ -90,7 +97,7 @@ def test_training_learns_from_hindsight_and_goes_on(script: ModuleType, trained:
 
 def test_the_agent_acts_without_environment_or_replay_buffer(trained: Path) -> None:
     model = SAC.load(trained / "out" / "agent.zip", device="cpu")
-    env = gym.make(ID, difficulty="none")
+    env = _seen(gym.make(ID, difficulty="none"))
     observation, _ = env.reset(seed=0)
     action, _ = model.predict(observation, deterministic=True)
     assert env.action_space.contains(action)
@@ -169,9 +176,7 @@ def test_the_shipped_hyper_parameters_are_accepted(script: ModuleType) -> None:
     assert files
     for path in files:
         settings = script.Settings.from_json(path)
-        small = script.Settings(
-            settings.environments, {**settings.sac, "buffer_size": 1000}, settings.her
-        )
+        small = replace(settings, sac={**settings.sac, "buffer_size": 1000})
         assert isinstance(script.make_model(env, small, seed=0), SAC)
     env.close()
 
@@ -199,8 +204,10 @@ def test_bad_arguments_are_named(
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ([], "environments, sac, her"),
-        ({"environments": 1, "sac": {}}, "environments, sac, her"),
+        ([], "environments, observations, sac, her"),
+        ({"environments": 1, "sac": {}}, "environments, observations, sac, her"),
+        ({**TINY, "observations": ["picture"]}, "observations .* must be .*got \\['picture'\\]"),
+        ({**TINY, "observations": []}, "observations .* must be"),
         ({**TINY, "environments": 0}, "environments"),
         ({**TINY, "sac": {"learning_starts": 10}}, "learning_starts"),
     ],
@@ -221,7 +228,7 @@ def test_settings_that_are_not_json(script: ModuleType, tmp_path: Path) -> None:
 
 def test_unknown_arguments_of_sac_are_named(script: ModuleType) -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
-    settings = script.Settings(1, {"learning_pace": 1.0}, None)
+    settings = script.Settings(1, None, {"learning_pace": 1.0}, None)
     with pytest.raises(ValueError, match="learning_pace"):
         script.make_model(env, settings, seed=0)
     env.close()
