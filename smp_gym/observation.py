@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -28,12 +28,14 @@ from smp_gym.scene import (
 )
 
 __all__ = [
+    "CONTROLS",
     "CONTROL_PERIOD",
     "GOAL_LAYOUTS",
     "GRIPPER_RATE",
     "MAX_EPISODE_STEPS",
     "OBSTACLE_LAYOUT",
     "STATE_LAYOUT",
+    "Control",
     "DecodedObservation",
     "Field",
     "ObjectState",
@@ -49,6 +51,12 @@ CONTROL_PERIOD = 0.05
 
 MAX_EPISODE_STEPS = 400
 """Steps after which an episode is truncated."""
+
+Control = Literal["joint_velocity", "end_effector"]
+"""Control mode: what the first six entries of an action mean."""
+
+CONTROLS: tuple[Control, ...] = get_args(Control)
+"""Control modes; an observation holds the index."""
 
 GRIPPER_RATE = 1.0
 """Change per second of the gripper reference (0 open, 1 closed) at gripper action 1."""
@@ -79,8 +87,10 @@ STATE_LAYOUT = (
     Field("object_angular_velocity", 3, -200.0, 200.0),
     Field("object_size", 3, 0.0, 1.0),
     Field("elapsed", 1, 0.0, 1.0),
+    Field("control", 1, 0.0, float(len(CONTROLS) - 1)),
 )
-"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`.
+"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`,
+``control`` the index of the control mode in `CONTROLS`.
 
 In tasks without an object, the object's entries are those of the pen's tip, its size the pen's
 radius."""
@@ -175,6 +185,7 @@ class DecodedObservation:
         object: state of the manipulated object, or of the pen's tip.
         elapsed_steps: environment steps since the episode began; 0 in its first observation.
         collided: whether a forbidden contact has happened.
+        control: what actions mean in the environment that it is from.
     """
 
     scene: Scene
@@ -182,6 +193,7 @@ class DecodedObservation:
     object: ObjectState
     elapsed_steps: int
     collided: bool
+    control: Control
 
 
 def _bounds(layout: tuple[Field, ...], repeat: int = 1) -> spaces.Box:
@@ -344,6 +356,7 @@ def encode(
     manipulated: ObjectState,
     achieved_goal: Mapping[str, Any],
     elapsed_steps: int,
+    control: Control = "joint_velocity",
 ) -> Observation:
     """Return the observation of a state.
 
@@ -353,6 +366,7 @@ def encode(
         manipulated: state of the object.
         achieved_goal: values of the task's goal fields by name.
         elapsed_steps: environment steps since the episode began.
+        control: what actions mean.
 
     Returns:
         The four vectors, float32, clipped to the bounds of `observation_space`.
@@ -361,6 +375,7 @@ def encode(
         **vars(robot),
         **{f"object_{name}": value for name, value in vars(manipulated).items()},
         "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
+        "control": CONTROLS.index(control),
     }
     desired_goal, obstacles = _constants(scene)
     return {
@@ -474,4 +489,5 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         object=manipulated,
         elapsed_steps=round(float(state["elapsed"][0]) * MAX_EPISODE_STEPS),
         collided=bool(achieved["collided"][0] > 0.5),
+        control=CONTROLS[round(float(state["control"][0]))],
     )
