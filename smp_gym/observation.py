@@ -135,6 +135,9 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
 ``stroke`` holds points (x, y, z) at equal steps of arc, of what the pen has drawn so far or shall
 draw; ``demanded`` says which of the latter count, and is 1 throughout in what was drawn."""
 
+_ROUNDING = 1e-3
+"""By how much norms, step counts and goals may be off, having been float32."""
+
 Array = NDArray[np.float64]
 Observation = dict[str, NDArray[np.float32]]
 
@@ -241,6 +244,11 @@ def observation_space(task: str) -> spaces.Dict:
             "obstacles": _bounds(OBSTACLE_LAYOUT, MAX_OBSTACLES),
         }
     )
+
+
+@cache
+def _space(task: str) -> spaces.Dict:
+    return observation_space(task)
 
 
 def _place(scene: Scene, index: int) -> tuple[float, float, float]:
@@ -407,7 +415,8 @@ def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
 
 def _as_dict(observation: Any, task: str) -> dict[str, Array]:
     """Check one raw or flattened observation and return its four vectors as float64."""
-    space = observation_space(task)
+    _check_task(task)
+    space = _space(task)
     if isinstance(observation, Mapping):
         if set(observation) != set(space.spaces):
             raise ValueError(
@@ -440,6 +449,35 @@ def _as_dict(observation: Any, task: str) -> dict[str, Array]:
     return {key: vector.astype(np.float64) for key, vector in vectors.items()}
 
 
+def _require(condition: bool, key: str, expectation: str) -> None:
+    if not condition:
+        raise ValueError(
+            f"observation[{key!r}] must {expectation}: a normalised observation cannot be decoded"
+        )
+
+
+def _check_raw(vectors: Mapping[str, Array], state: Mapping[str, Array]) -> None:
+    """Raise ValueError if state or obstacles cannot be what was encoded.
+
+    Normalised values often stay inside the bounds, but not what must be a unit quaternion, a whole
+    number or a flag.
+    """
+    for name in ("end_effector_quaternion", "object_quaternion"):
+        norm = float(np.linalg.norm(state[name]))
+        _require(abs(norm - 1.0) < _ROUNDING, "observation", f"have {name} of norm 1, not {norm}")
+    steps = float(state["elapsed"][0]) * MAX_EPISODE_STEPS
+    whole = abs(steps - round(steps)) < _ROUNDING
+    _require(whole, "observation", f"have elapsed a whole number of steps, not {steps}")
+    control = float(state["control"][0])
+    _require(control.is_integer(), "observation", f"have an index as control, not {control}")
+    rows = vectors["obstacles"].reshape(MAX_OBSTACLES, -1)
+    flags, rest = np.split(rows, [1 + len(SHAPES)], axis=1)
+    sound = np.isin(flags, (0.0, 1.0)).all() and (flags[:, 0] == flags[:, 1:].sum(axis=1)).all()
+    _require(bool(sound), "obstacles", "have one shape in each row that is present, and none else")
+    absent = flags[:, 0] == 0.0
+    _require(not rest[absent].any(), "obstacles", "be zero in rows that are not present")
+
+
 def decode(observation: Any, task: str) -> DecodedObservation:
     """Return what one observation says.
 
@@ -454,9 +492,12 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     state = _split(vectors["observation"], STATE_LAYOUT)
     desired = _split(vectors["desired_goal"], GOAL_LAYOUTS[task])
     achieved = _split(vectors["achieved_goal"], GOAL_LAYOUTS[task])
+    _check_raw(vectors, state)
     size = state["object_size"]
-    if not (size > 0).all():
-        raise ValueError(f"object_size in the observation must be positive, got {size}")
+    _require(bool((size > 0).all()), "observation", f"have a positive object_size, not {size}")
+    if task == "DrawS":
+        last = float(desired["demanded"][-1])
+        _require(last == 1.0, "desired_goal", f"demand the stroke's end, not {last}")
     scene = Scene(
         task=task,
         start=tuple(state["configuration"].tolist()),
@@ -466,6 +507,8 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         goals=_GOALS[task](desired, size),
         obstacles=_decode_obstacles(vectors["obstacles"]),
     )
+    demanded = np.allclose(encode_desired_goal(scene), vectors["desired_goal"], atol=_ROUNDING)
+    _require(demanded, "desired_goal", f"demand what {task} demands")
     robot = RobotState(
         configuration=state["configuration"],
         reference=state["reference"],
