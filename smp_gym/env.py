@@ -19,7 +19,9 @@ from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.jaco import ACTION_SIZE
 from smp_gym.observation import (
     CONTROL_PERIOD,
+    CONTROLS,
     MAX_EPISODE_STEPS,
+    Control,
     Observation,
     encode,
     observation_space,
@@ -86,8 +88,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         width: of pictures, pixels.
         height: of pictures, pixels.
         camera: entries of `smp_gym.world.Camera` that shall differ from the default.
-        control: "joint_velocity" or "end_effector", what actions mean. Planner policies act in
-            joint velocities, and cannot see from an observation that they are not understood.
+        control: "joint_velocity" or "end_effector", what actions mean. It stands in the
+            observation: planner policies act in joint velocities, and refuse the other mode.
 
     Raises:
         ValueError: an argument is not one of those allowed.
@@ -108,7 +110,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         width: int = 480,
         height: int = 360,
         camera: Mapping[str, Any] | None = None,
-        control: Literal["joint_velocity", "end_effector"] = "joint_velocity",
+        control: Control = "joint_velocity",
     ) -> None:
         EzPickle.__init__(
             self, task, difficulty, reward, render_mode, width, height, camera, control
@@ -116,7 +118,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.task = make_task(task)
         _check_choice("difficulty", difficulty, DIFFICULTIES)
         _check_choice("reward", reward, ("sparse", "dense"))
-        _check_choice("control", control, ("joint_velocity", "end_effector"))
+        _check_choice("control", control, CONTROLS)
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         for name, value in (("width", width), ("height", height)):
             if not (isinstance(value, int) and value > 0):
@@ -345,7 +347,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     def _observe(self) -> Observation:
         cell = self._cell
         achieved = self.task.achieved_goal(cell.status)
-        return encode(self.scene, cell.robot, cell.manipulated, achieved, len(self._actions))
+        elapsed = len(self._actions)
+        return encode(self.scene, cell.robot, cell.manipulated, achieved, elapsed, self.control)
 
     def _info(self) -> dict[str, Any]:
         return {

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -28,12 +28,14 @@ from smp_gym.scene import (
 )
 
 __all__ = [
+    "CONTROLS",
     "CONTROL_PERIOD",
     "GOAL_LAYOUTS",
     "GRIPPER_RATE",
     "MAX_EPISODE_STEPS",
     "OBSTACLE_LAYOUT",
     "STATE_LAYOUT",
+    "Control",
     "DecodedObservation",
     "Field",
     "ObjectState",
@@ -49,6 +51,12 @@ CONTROL_PERIOD = 0.05
 
 MAX_EPISODE_STEPS = 400
 """Steps after which an episode is truncated."""
+
+Control = Literal["joint_velocity", "end_effector"]
+"""Control mode: what the first six entries of an action mean."""
+
+CONTROLS: tuple[Control, ...] = get_args(Control)
+"""Control modes; an observation holds the index."""
 
 GRIPPER_RATE = 1.0
 """Change per second of the gripper reference (0 open, 1 closed) at gripper action 1."""
@@ -79,8 +87,10 @@ STATE_LAYOUT = (
     Field("object_angular_velocity", 3, -200.0, 200.0),
     Field("object_size", 3, 0.0, 1.0),
     Field("elapsed", 1, 0.0, 1.0),
+    Field("control", 1, 0.0, float(len(CONTROLS) - 1)),
 )
-"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`.
+"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`,
+``control`` the index of the control mode in `CONTROLS`.
 
 In tasks without an object, the object's entries are those of the pen's tip, its size the pen's
 radius."""
@@ -124,6 +134,9 @@ GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
 
 ``stroke`` holds points (x, y, z) at equal steps of arc, of what the pen has drawn so far or shall
 draw; ``demanded`` says which of the latter count, and is 1 throughout in what was drawn."""
+
+_ROUNDING = 1e-3
+"""By how much norms, step counts and goals may be off, having been float32."""
 
 Array = NDArray[np.float64]
 Observation = dict[str, NDArray[np.float32]]
@@ -175,6 +188,7 @@ class DecodedObservation:
         object: state of the manipulated object, or of the pen's tip.
         elapsed_steps: environment steps since the episode began; 0 in its first observation.
         collided: whether a forbidden contact has happened.
+        control: what actions mean in the environment that it is from.
     """
 
     scene: Scene
@@ -182,6 +196,7 @@ class DecodedObservation:
     object: ObjectState
     elapsed_steps: int
     collided: bool
+    control: Control
 
 
 def _bounds(layout: tuple[Field, ...], repeat: int = 1) -> spaces.Box:
@@ -190,9 +205,14 @@ def _bounds(layout: tuple[Field, ...], repeat: int = 1) -> spaces.Box:
     return spaces.Box(np.tile(low, repeat), np.tile(high, repeat), dtype=np.float32)
 
 
+@cache
+def _places(layout: tuple[Field, ...]) -> dict[str, slice]:
+    ends = np.cumsum([f.size for f in layout]).tolist()
+    return {f.name: slice(end - f.size, end) for f, end in zip(layout, ends, strict=True)}
+
+
 def _split(vector: Array, layout: tuple[Field, ...]) -> dict[str, Array]:
-    ends = np.cumsum([f.size for f in layout])
-    return dict(zip((f.name for f in layout), np.split(vector, ends[:-1]), strict=True))
+    return {name: vector[place] for name, place in _places(layout).items()}
 
 
 @cache
@@ -229,6 +249,11 @@ def observation_space(task: str) -> spaces.Dict:
             "obstacles": _bounds(OBSTACLE_LAYOUT, MAX_OBSTACLES),
         }
     )
+
+
+@cache
+def _space(task: str) -> spaces.Dict:
+    return observation_space(task)
 
 
 def _place(scene: Scene, index: int) -> tuple[float, float, float]:
@@ -344,6 +369,7 @@ def encode(
     manipulated: ObjectState,
     achieved_goal: Mapping[str, Any],
     elapsed_steps: int,
+    control: Control = "joint_velocity",
 ) -> Observation:
     """Return the observation of a state.
 
@@ -353,6 +379,7 @@ def encode(
         manipulated: state of the object.
         achieved_goal: values of the task's goal fields by name.
         elapsed_steps: environment steps since the episode began.
+        control: what actions mean.
 
     Returns:
         The four vectors, float32, clipped to the bounds of `observation_space`.
@@ -361,6 +388,7 @@ def encode(
         **vars(robot),
         **{f"object_{name}": value for name, value in vars(manipulated).items()},
         "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
+        "control": CONTROLS.index(control),
     }
     desired_goal, obstacles = _constants(scene)
     return {
@@ -392,7 +420,8 @@ def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
 
 def _as_dict(observation: Any, task: str) -> dict[str, Array]:
     """Check one raw or flattened observation and return its four vectors as float64."""
-    space = observation_space(task)
+    _check_task(task)
+    space = _space(task)
     if isinstance(observation, Mapping):
         if set(observation) != set(space.spaces):
             raise ValueError(
@@ -425,6 +454,39 @@ def _as_dict(observation: Any, task: str) -> dict[str, Array]:
     return {key: vector.astype(np.float64) for key, vector in vectors.items()}
 
 
+def _abnormal(key: str, expectation: str) -> ValueError:
+    return ValueError(
+        f"observation[{key!r}] must {expectation}: a normalised observation cannot be decoded"
+    )
+
+
+def _check_raw(vectors: Mapping[str, Array], state: Mapping[str, Array]) -> None:
+    """Raise ValueError if state or obstacles cannot be what was encoded.
+
+    Normalised values often stay inside the bounds, but not what must be a unit quaternion, a whole
+    number or a flag.
+    """
+    for name in ("end_effector_quaternion", "object_quaternion"):
+        norm = float(np.linalg.norm(state[name]))
+        if abs(norm - 1.0) > _ROUNDING:
+            raise _abnormal("observation", f"have {name} of norm 1, not {norm}")
+    steps = float(state["elapsed"][0]) * MAX_EPISODE_STEPS
+    if abs(steps - round(steps)) > _ROUNDING:
+        raise _abnormal("observation", f"have elapsed a whole number of steps, not {steps}")
+    control = float(state["control"][0])
+    if not control.is_integer():
+        raise _abnormal("observation", f"have an index as control, not {control}")
+    if not (state["object_size"] > 0.0).all():
+        raise _abnormal("observation", f"have a positive object_size, not {state['object_size']}")
+    rows = vectors["obstacles"].reshape(MAX_OBSTACLES, -1)
+    flags, rest = rows[:, : 1 + len(SHAPES)], rows[:, 1 + len(SHAPES) :]
+    sound = ((flags == 0.0) | (flags == 1.0)).all()
+    if not sound or (flags[:, 0] != flags[:, 1:].sum(axis=1)).any():
+        raise _abnormal("obstacles", "have one shape in each row that is present, and none else")
+    if rest[flags[:, 0] == 0.0].any():
+        raise _abnormal("obstacles", "be zero in rows that are not present")
+
+
 def decode(observation: Any, task: str) -> DecodedObservation:
     """Return what one observation says.
 
@@ -439,9 +501,10 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     state = _split(vectors["observation"], STATE_LAYOUT)
     desired = _split(vectors["desired_goal"], GOAL_LAYOUTS[task])
     achieved = _split(vectors["achieved_goal"], GOAL_LAYOUTS[task])
+    _check_raw(vectors, state)
     size = state["object_size"]
-    if not (size > 0).all():
-        raise ValueError(f"object_size in the observation must be positive, got {size}")
+    if task == "DrawS" and desired["demanded"][-1] != 1.0:
+        raise _abnormal("desired_goal", "demand the stroke's end")
     scene = Scene(
         task=task,
         start=tuple(state["configuration"].tolist()),
@@ -451,6 +514,8 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         goals=_GOALS[task](desired, size),
         obstacles=_decode_obstacles(vectors["obstacles"]),
     )
+    if np.abs(encode_desired_goal(scene) - vectors["desired_goal"]).max() > _ROUNDING:
+        raise _abnormal("desired_goal", f"demand what {task} demands")
     robot = RobotState(
         configuration=state["configuration"],
         reference=state["reference"],
@@ -474,4 +539,5 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         object=manipulated,
         elapsed_steps=round(float(state["elapsed"][0]) * MAX_EPISODE_STEPS),
         collided=bool(achieved["collided"][0] > 0.5),
+        control=CONTROLS[round(float(state["control"][0]))],
     )

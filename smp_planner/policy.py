@@ -51,9 +51,8 @@ class Execution:
 class PlannerPolicy:
     """A planner that acts.
 
-    Its actions are joint velocities. An environment made with ``control="end_effector"`` takes
-    actions of the same shape for something else, and nothing in an observation says so: the policy
-    is only for environments of the default control mode.
+    Its actions are joint velocities: observations of an environment that takes actions for
+    something else (``control="end_effector"``) are refused.
 
     Args:
         planner: what plans; made by `smp_planner.planners.make_planner`.
@@ -127,15 +126,15 @@ class PlannerPolicy:
             Actions (7,) or (E, 7), and one `Execution` per environment.
 
         Raises:
-            ValueError: the observation is not from an environment of this task, or a goal in it
-                is out of reach.
+            ValueError: the observation is not from an environment of this task, or from one of
+                another control mode, or a goal in it is out of reach.
         """
         rows, batched = self._rows(observation)
         if state is not None and len(state) != len(rows):
             raise ValueError(
                 f"state must have one entry for each of {len(rows)} observations, got {len(state)}"
             )
-        decoded = [decode(row, self.task) for row in rows]
+        decoded = [self._decoded(row) for row in rows]
         executions: list[Execution | None] = [None] * len(rows) if state is None else list(state)
         digests = {
             i: self._digest(rows[i])
@@ -172,6 +171,16 @@ class PlannerPolicy:
             return [arrays], False
         array = np.asarray(observation)
         return (list(array), True) if array.ndim == 2 else ([array], False)
+
+    def _decoded(self, row: Any) -> DecodedObservation:
+        decoded = decode(row, self.task)
+        if decoded.control != "joint_velocity":
+            raise ValueError(
+                f"the observation is from an environment with control={decoded.control!r}: a "
+                "planner acts in joint velocities, make the environment with "
+                "control='joint_velocity'"
+            )
+        return decoded
 
     def _digest(self, row: Any) -> int:
         """Return a fingerprint of observation and seed, the same for raw and flattened."""

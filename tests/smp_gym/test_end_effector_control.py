@@ -3,14 +3,16 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
 from smp_gym import kinematics
 from smp_gym.end_effector_control import ANGULAR_SPEED, LINEAR_SPEED, joint_action
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY
-from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE, decode
+from smp_gym.observation import CONTROL_PERIOD, CONTROLS, GRIPPER_RATE, decode
 from smp_gym.sampling import sample_scene
+from smp_gym.scene import TASKS
 from smp_gym.tasks.placement import START_CONFIGURATION
 
 START = np.array(START_CONFIGURATION)
@@ -142,8 +144,21 @@ def test_a_state_can_be_restored_in_either_mode():
     state = envs[0].save_state()
     for env in envs:
         restored, _ = env.restore_state(state)
-        np.testing.assert_array_equal(restored["observation"], observation["observation"])
+        # The last entry says which mode it is.
+        np.testing.assert_array_equal(restored["observation"][:-1], observation["observation"][:-1])
         env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_observation_says_which_mode_it_is(task):
+    for control in CONTROLS:
+        env = ManipulationEnv(task=task, difficulty="none", control=control)
+        observations = [env.reset(seed=0)[0], env.step(np.zeros(7, np.float32))[0]]
+        env.close()
+        for observation in observations:
+            assert env.observation_space.contains(observation)
+            for given in (observation, spaces.flatten(env.observation_space, observation)):
+                assert decode(given, task).control == control
 
 
 def test_an_unknown_mode_is_refused():

@@ -1,7 +1,10 @@
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+import smp_gym  # noqa: F401
 from smp_gym.observation import (
     MAX_EPISODE_STEPS,
     ObjectState,
@@ -10,7 +13,7 @@ from smp_gym.observation import (
     encode,
     observation_space,
 )
-from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
+from smp_gym.scene import TASKS, Goal, ManipulatedObject, Obstacle, Scene
 
 SPACE = observation_space("Placement")
 
@@ -114,6 +117,13 @@ def changed(key, index, value):
         (changed("observation", 3, np.nan), "observation"),
         (changed("obstacles", 0, 4.0), "obstacles"),
         (changed("desired_goal", 5, -3.0), "normalised"),
+        (changed("desired_goal", 4, 0.0), "demand what Placement demands"),
+        (changed("observation", slice(31, 34), 0.5), "quaternion of norm 1"),
+        (changed("observation", -2, 0.001), "whole number of steps"),
+        (changed("observation", -1, 0.5), "index as control"),
+        (changed("obstacles", 1, 0.5), "one shape"),
+        (changed("obstacles", slice(1, 4), 1.0), "one shape"),
+        (changed("obstacles", slice(0, 4), 0.0), "not present"),
         ({"pixels": np.zeros(3)}, "achieved_goal"),
         ({**draw(0)[3], "obstacles": np.zeros(5)}, "shape"),
         (np.zeros(12), "flat vector"),
@@ -124,6 +134,22 @@ def changed(key, index, value):
 def test_what_is_no_observation_of_ours_is_refused(bad, named):
     with pytest.raises(ValueError, match=named):
         decode(bad, "Placement")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_normalised_observations_are_refused(task):
+    env = DummyVecEnv([lambda: gymnasium.make(f"smp_gym/{task}-v0", difficulty="easy")])
+    env.seed(0)
+    for keys in (None, ["observation"], ["achieved_goal", "desired_goal"], ["obstacles"]):
+        normalised = VecNormalize(env, norm_obs_keys=keys)
+        batch = normalised.reset()
+        for _ in range(4):
+            with pytest.raises(ValueError, match="normalised"):
+                decode({key: vector[0] for key, vector in batch.items()}, task)
+            batch, *_ = normalised.step(np.full((1, 7), 0.1))
+        original = normalised.get_original_obs()
+        assert decode({key: vector[0] for key, vector in original.items()}, task).scene
+    env.close()
 
 
 def test_an_unknown_task_lists_what_exists():

@@ -206,3 +206,15 @@ def test_foreign_observations_and_states_are_refused(policy, env):
     _, state = policy.predict(first(env, 0), deterministic=True)
     with pytest.raises(ValueError, match="state"):
         policy.predict(first(env, 0), state * 2)
+
+
+def test_an_environment_that_takes_other_actions_is_refused(policy, env):
+    hand = gym.make(ID, control="end_effector")
+    observation = first(hand, 0)
+    hand.close()
+    for given in (observation, spaces.flatten(policy.observation_space, observation)):
+        with pytest.raises(ValueError, match=r"'end_effector'.*control='joint_velocity'"):
+            policy.predict(given)
+    mixed = {key: np.stack([first(env, 0)[key], observation[key]]) for key in observation}
+    with pytest.raises(ValueError, match="'end_effector'"):
+        policy.predict(mixed)
