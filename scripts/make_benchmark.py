@@ -21,9 +21,8 @@ from rich.console import Console
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.frozen import FrozenEpisode, write_episodes
+from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS, Scene
-from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene
-from smp_gym.unwitnessed_sampling import place_without_witness
 from smp_planner.policy import PlannerPolicy
 
 CROWDED = tuple(name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles)

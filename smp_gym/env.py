@@ -24,8 +24,8 @@ from smp_gym.observation import (
     encode,
     observation_space,
 )
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, Scene
-from smp_gym.scene_sampling import sample_scene
 from smp_gym.tasks import make_task
 from smp_gym.workcell import Workcell
 from smp_gym.world import Camera

@@ -2,7 +2,7 @@
 
 The list of a task and a difficulty is a gzipped text file of the packaged data: a header and then
 one episode a line, all JSON. Half of the episodes were sampled around a witness (see
-`smp_gym.scene_sampling`), half were placed without one and certified by a planner; they alternate,
+`smp_gym.sampling`), half were placed without one and certified by a planner; they alternate,
 so that the first 2 n episodes hold n of each.
 """
 

@@ -12,6 +12,7 @@ from smp_gym import kinematics
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import decode
+from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.scene import (
     PAD_HALF_WIDTH,
     Goal,
@@ -20,7 +21,6 @@ from smp_gym.scene import (
     Scene,
     fixtures,
 )
-from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.tasks import Status
 from smp_gym.tasks.double_sided_placement import (
     HELD_OBJECT_POSE,

@@ -10,7 +10,7 @@ from smp_gym.end_effector_control import ANGULAR_SPEED, LINEAR_SPEED, joint_acti
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY
 from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE, decode
-from smp_gym.scene_sampling import sample_scene
+from smp_gym.sampling import sample_scene
 from smp_gym.tasks.placement import START_CONFIGURATION
 
 START = np.array(START_CONFIGURATION)

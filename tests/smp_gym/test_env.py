@@ -18,6 +18,7 @@ import smp_gym
 from smp_gym import kinematics
 from smp_gym.env import FAILURE_REWARD, SHAPING_DISCOUNT, ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, decode
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import (
     BIN_HEIGHT,
     BIN_INNER_HALF_WIDTH,
@@ -27,7 +28,6 @@ from smp_gym.scene import (
     Goal,
     Obstacle,
 )
-from smp_gym.scene_sampling import sample_scene
 from smp_gym.tasks.placement import (
     HELD_OBJECT_POSE,
     NOMINAL_BIN,

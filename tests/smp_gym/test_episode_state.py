@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smp_gym.env import ManipulationEnv
-from smp_gym.scene_sampling import sample_scene
+from smp_gym.sampling import sample_scene
 from smp_gym.workcell import Workcell
 
 STEPS = 90

@@ -22,8 +22,8 @@ from smp_gym.frozen import (
     write_episodes,
 )
 from smp_gym.observation import MAX_EPISODE_STEPS, decode
+from smp_gym.sampling import SPECIFICATIONS, sample_scene
 from smp_gym.scene import EVALUATION_SEEDS_START
-from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene
 
 PLACEMENT = "smp_gym/Placement-v0"
 LISTS = frozen_lists()

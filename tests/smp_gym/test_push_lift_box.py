@@ -9,8 +9,8 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
 from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
-from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.tasks.push_lift_box import (
     BOX_BEARING,
     BOX_RADIUS,

@@ -12,10 +12,13 @@ import pytest
 from playback import play
 
 import smp_gym  # noqa: F401
-from smp_gym import kinematics, sampling_kernels, scene_sampling
+from smp_gym import kinematics
 from smp_gym.assets import jaco_urdf
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.observation import OBSTACLE_LAYOUT
+from smp_gym.sampling import SPECIFICATIONS, kernels, sample_scene, sample_with_witness
+from smp_gym.sampling.conversion import to_obstacle, to_row
+from smp_gym.sampling.detours import detour_basis
 from smp_gym.scene import (
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
@@ -25,7 +28,6 @@ from smp_gym.scene import (
     Scene,
     fixtures,
 )
-from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.tasks.placement import (
     BIN_LOWER,
     BIN_UPPER,
@@ -53,7 +55,7 @@ def test_a_scene_is_the_same_in_another_process_and_after_other_scenes(drawn):
     keys = [(difficulty, seed) for difficulty in DIFFICULTIES for seed in (7, 3)]
     code = (
         "import json, sys\n"
-        "from smp_gym.scene_sampling import sample_with_witness\n"
+        "from smp_gym.sampling import sample_with_witness\n"
         "out = []\n"
         "for difficulty, seed in json.loads(sys.argv[1]):\n"
         "    scene, witness = sample_with_witness('Placement', difficulty, seed)\n"
@@ -405,12 +407,12 @@ def test_fresh_draws_seldom_get_through(difficulty, share):
 
 @pytest.mark.parametrize("samples", [20, 200])
 def test_detours_are_the_conditioned_gaussian_process(samples):
-    basis = scene_sampling._detour_basis(samples)
+    basis = detour_basis(samples)
     np.testing.assert_allclose(basis @ basis.T, conditioned_covariance(samples), atol=2e-3)
 
 
 def test_detours_vanish_with_their_slope_at_both_ends():
-    basis = scene_sampling._detour_basis(2001)
+    basis = detour_basis(2001)
     assert np.abs(basis[[0, -1]]).max() == 0.0
     assert np.abs(np.diff(basis, axis=0)[[0, -1]] * 2000).max() < 0.03
 
@@ -434,13 +436,13 @@ def test_distance_agrees_with_the_physics_engine(bullet):
     rng = np.random.default_rng(0)
     radius = 0.005
     for obstacle in random_obstacles(rng, 40):
-        row = np.array(scene_sampling._row(obstacle))
+        row = np.array(to_row(obstacle))
         body = bullet.body(obstacle)
         for _ in range(10):
             x, y, z = np.array(obstacle.position) + rng.uniform(-0.12, 0.12, 3)
             ball = bullet.body(Obstacle(shape="sphere", position=(x, y, z), size=(radius,) * 3))
             points = pybullet.getClosestPoints(body, ball, 1.0, physicsClientId=bullet.client)
-            distance = sampling_kernels.point_distance(x, y, z, row)
+            distance = kernels.point_distance(x, y, z, row)
             if distance > 2 * radius:
                 assert distance == pytest.approx(points[0][8] + radius, abs=1.5e-3)
             elif distance < -radius:
@@ -451,7 +453,7 @@ def test_distance_agrees_with_the_physics_engine(bullet):
 
 def test_rows_and_obstacles_convert_into_each_other():
     for obstacle in random_obstacles(np.random.default_rng(1), 20):
-        back = scene_sampling._obstacle(np.array(scene_sampling._row(obstacle)))
+        back = to_obstacle(np.array(to_row(obstacle)))
         assert back.shape == obstacle.shape
         np.testing.assert_allclose(back.position, obstacle.position)
         np.testing.assert_allclose(back.size, obstacle.size)
@@ -470,7 +472,7 @@ def paths():
 def test_sphere_paths_are_those_of_the_kinematics():
     q = np.random.default_rng(0).uniform(kinematics.JOINT_LOWER, kinematics.JOINT_UPPER, (50, 6))
     spheres = kinematics.arm_spheres()
-    centers = sampling_kernels.sphere_paths(
+    centers = kernels.sphere_paths(
         q, kinematics.BASE_TRANSFORM, kinematics.JOINT_ORIGINS, spheres.link, spheres.center
     )
     np.testing.assert_allclose(centers, kinematics.sphere_centers(q, spheres), atol=1e-12)
@@ -480,9 +482,9 @@ def test_sphere_paths_are_those_of_the_kinematics():
 def test_blocked_paths_agree_with_brute_force(paths, depth):
     centers, radius = paths
     obstacles = list(random_obstacles(np.random.default_rng(5), 30))
-    rows = np.array([scene_sampling._row(obstacle) for obstacle in obstacles])
-    steps = sampling_kernels.longest_steps(centers)
-    blocked = sampling_kernels.blocked_paths(centers, radius, steps, rows, depth)
+    rows = np.array([to_row(obstacle) for obstacle in obstacles])
+    steps = kernels.longest_steps(centers)
+    blocked = kernels.blocked_paths(centers, radius, steps, rows, depth)
     brute = np.array(
         [(numpy_distance(centers, o) - radius + depth <= 0).any(axis=(1, 2)) for o in obstacles]
     )
@@ -493,10 +495,10 @@ def test_blocked_paths_agree_with_brute_force(paths, depth):
 def test_path_clearances_agree_with_brute_force(paths):
     centers, radius = paths
     obstacles = list(random_obstacles(np.random.default_rng(6), 30))
-    rows = np.array([scene_sampling._row(obstacle) for obstacle in obstacles])
+    rows = np.array([to_row(obstacle) for obstacle in obstacles])
     for path in centers[:10]:
         brute = [(numpy_distance(path, o) - radius).min() for o in obstacles]
-        found = sampling_kernels.path_clearances(path, radius, rows, 0.15)
+        found = kernels.path_clearances(path, radius, rows, 0.15)
         np.testing.assert_allclose(found, np.minimum(brute, 0.15), atol=1e-12)
 
 
@@ -505,16 +507,16 @@ def test_self_clearance_agrees_with_brute_force(paths):
     pairs = np.array([[0, 1], [1, 3]])
     a, b = pairs.T
     gap = np.linalg.norm(centers[0][:, a] - centers[0][:, b], axis=-1) - radius[a] - radius[b]
-    assert sampling_kernels.self_clearance(centers[0], radius, pairs) == pytest.approx(gap.min())
+    assert kernels.self_clearance(centers[0], radius, pairs) == pytest.approx(gap.min())
 
 
 def test_the_grid_tells_which_paths_come_near(paths):
     centers, radius = paths
     origin, spacing, shape = np.array([0.0, -0.4, 0.0]), 0.03, (28, 28, 22)
-    grid = sampling_kernels.rasterised(centers, radius, origin, spacing, shape)
+    grid = kernels.rasterised(centers, radius, origin, spacing, shape)
     obstacles = list(random_obstacles(np.random.default_rng(7), 20))
-    rows = np.array([scene_sampling._row(obstacle) for obstacle in obstacles])
-    found = sampling_kernels.touched(grid, origin, spacing, rows, 0.01, len(centers))
+    rows = np.array([to_row(obstacle) for obstacle in obstacles])
+    found = kernels.touched(grid, origin, spacing, rows, 0.01, len(centers))
     points = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1) * spacing
     points = points.reshape(-1, 3) + origin
     sure = np.zeros_like(found)
@@ -539,9 +541,7 @@ def test_best_pair_agrees_with_brute_force():
     for _ in range(30):
         blocks, clears = rng.random((12, 70)) < 0.3, rng.random((12, 130)) < 0.02
         allowed = rng.random((12, 12)) < 0.7
-        found = sampling_kernels.best_pair(
-            sampling_kernels.packed(blocks), sampling_kernels.packed(clears), allowed
-        )
+        found = kernels.best_pair(kernels.packed(blocks), kernels.packed(clears), allowed)
         worth = {
             (i, j): (blocks[i] | blocks[j]).sum()
             for i in range(12)
@@ -553,4 +553,4 @@ def test_best_pair_agrees_with_brute_force():
         else:
             assert found == (-1, -1)
     nobody = np.zeros((3, 1), np.uint64)
-    assert sampling_kernels.best_pair(nobody, nobody, np.ones((3, 3), bool)) == (-1, -1)
+    assert kernels.best_pair(nobody, nobody, np.ones((3, 3), bool)) == (-1, -1)

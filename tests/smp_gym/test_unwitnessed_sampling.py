@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from smp_gym import kinematics, scene_sampling
+from smp_gym import kinematics
 from smp_gym.env import ManipulationEnv
-from smp_gym.scene_sampling import SPECIFICATIONS, sample_scene
-from smp_gym.unwitnessed_sampling import place_without_witness
+from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
+from smp_gym.sampling.carrying import carry, release_configuration
+from smp_gym.sampling.placing import placement_task
 
 CROWDED = ("easy", "medium", "hard")
 
@@ -49,11 +50,11 @@ def distances(points, obstacle):
 
 @pytest.mark.parametrize("difficulty", CROWDED)
 def test_the_mean_is_blocked_and_its_ends_are_free(difficulty):
-    data = scene_sampling._placement()
+    data = placement_task()
     for seed in range(5):
         scene = place_without_witness("Placement", difficulty, seed)
-        end = scene_sampling._release_configuration(data, scene.goals[0])
-        mean = scene_sampling._carry(data, end, 200).mean(axis=0)
+        end = release_configuration(data, scene.goals[0])
+        mean = carry(data, end, 200).mean(axis=0)
         centers = kinematics.sphere_centers(mean, data.spheres)
         gaps = np.min([distances(centers, o) for o in scene.obstacles], axis=0)
         gaps = (gaps - data.spheres.radius).min(axis=1)

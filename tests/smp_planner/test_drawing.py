@@ -11,8 +11,8 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import PEN_TIP
 from smp_gym.observation import decode
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import STROKE_POINTS
-from smp_gym.scene_sampling import sample_scene
 from smp_gym.strokes import pen_path
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners import TASK_SETTINGS, make_planner

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from smp_gym.kinematics import SphereSet, box_spheres, concatenate, finger_spheres, sphere_centers
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, fixtures
-from smp_gym.scene_sampling import sample_scene
 from smp_planner.edge_check import EdgeChecker
 from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.robot_model import RobotModel, jaco_model

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.frozen import load_episodes
-from smp_gym.scene_sampling import sample_scene
+from smp_gym.sampling import sample_scene
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, Rollout, environment_id, roll_out
 from smp_planner.benchmark.figures import object_paths

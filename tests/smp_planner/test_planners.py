@@ -7,8 +7,8 @@ import torch
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import UnreachableError, box_spheres, concatenate, end_effector_pose
 from smp_gym.kinematics import finger_spheres as fingers
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
-from smp_gym.scene_sampling import sample_scene
 from smp_planner.planners import PLANNERS, make_planner
 from smp_planner.planners.smp import Likelihood, SMPSettings
 from smp_planner.problem import GoalRegion, Planner, Problem

@@ -17,8 +17,8 @@ from smp_gym.kinematics import (
     finger_spheres,
     sphere_centers,
 )
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
-from smp_gym.scene_sampling import sample_scene
 from smp_planner.edge_check import EdgeChecker
 from smp_planner.movement_primitives import GaussianBasis, phases
 from smp_planner.occupancy.analytic import signed_distance

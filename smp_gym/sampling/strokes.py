@@ -14,10 +14,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics, sampling_kernels
-from smp_gym import scene_sampling as common
+from smp_gym import kinematics
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import PEN_TIP
+from smp_gym.sampling import kernels
+from smp_gym.sampling.body import Body
+from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row
+from smp_gym.sampling.detours import resample, smoothstep
+from smp_gym.sampling.family import BLOCKING_DEPTH
+from smp_gym.sampling.grid import near, rasterise
+from smp_gym.sampling.obstacles import (
+    BASE_DISTANCE,
+    HALF_EXTENTS,
+    REPEATED,
+    SHAPE_SHARES,
+    START_CLEARANCE,
+    apart,
+)
+from smp_gym.sampling.specification import DifficultySpecification
+from smp_gym.sampling.witness import is_witness, within_limits
 from smp_gym.scene import SHAPES, TABLE, Goal, Obstacle, Scene
 from smp_gym.strokes import follow, moved, pen_path
 from smp_gym.tasks import draw_s
@@ -83,7 +98,7 @@ _MAX_DRAWS = 100
 
 
 @functools.lru_cache(maxsize=1)
-def _body() -> common._Body:
+def _body() -> Body:
     demonstrations = Demonstrations.load("DrawS")
     parts = (
         kinematics.arm_spheres(),
@@ -93,7 +108,7 @@ def _body() -> common._Body:
     spheres = kinematics.concatenate(*parts)
     moving = np.flatnonzero(spheres.link >= 2)
     fingers = np.arange(len(parts[0]), len(parts[0]) + len(parts[1]))
-    return common._Body(
+    return Body(
         demonstrations=demonstrations.configurations,
         spheres=spheres,
         moving=moving,
@@ -110,8 +125,8 @@ def _template() -> tuple[FloatArray, FloatArray]:
     return points, q.mean(axis=0)
 
 
-def _smoothstep(phase: FloatArray) -> FloatArray:
-    return common._smoothstep(np.clip(phase, 0.0, 1.0))
+def _clipped_step(phase: FloatArray) -> FloatArray:
+    return smoothstep(np.clip(phase, 0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +165,7 @@ def _draw_stroke(rng: np.random.Generator) -> _Stroke | None:
     start, off = follow((line[0] + shift)[None], first[None])
     if max(error, off) > _MAX_ERROR:
         return None
-    join = 1.0 - _smoothstep(np.linspace(0.0, 1.0, len(way)) / _START_BLEND)
+    join = 1.0 - _clipped_step(np.linspace(0.0, 1.0, len(way)) / _START_BLEND)
     way = way + join[:, None] * (start[0] - way[0])
     links = kinematics.link_transforms(way)
     pose = links[:, -1] @ kinematics.END_EFFECTOR
@@ -202,7 +217,7 @@ class _Bumps:
 
 
 def _draw_candidates(
-    body: common._Body, stroke: _Stroke, bumps: _Bumps, rng: np.random.Generator
+    body: Body, stroke: _Stroke, bumps: _Bumps, rng: np.random.Generator
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return rows of obstacles, and under which of a witness's bumps each is on the stroke, or -1.
 
@@ -212,8 +227,8 @@ def _draw_candidates(
     bump = rng.integers(bumps.center.shape[1], size=count)
     phase = bumps.center[0, bump] + 0.4 * bumps.half_width[0, bump] * rng.uniform(-1, 1, count)
     at = np.rint(phase * (len(stroke.line) - 1)).astype(np.int64)
-    shape = rng.choice(len(SHAPES), size=count, p=common._SHAPE_SHARES)
-    size = rng.uniform(*common._HALF_EXTENTS, size=(count, 3))
+    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
+    size = rng.uniform(*HALF_EXTENTS, size=(count, 3))
     box, ball = SHAPES.index("box"), SHAPES.index("sphere")
     size[shape != box, 1] = size[shape != box, 0]
     size[shape == ball, 2] = size[shape == ball, 0]
@@ -223,16 +238,16 @@ def _draw_candidates(
     spread = np.where(beside, _BESIDE[1], _BESIDE[0])[:, None]
     position = stroke.line[at] + away + spread * rng.standard_normal((count, 3))
     rows = np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
-    kept = np.hypot(position[:, 0], position[:, 1]) >= common._BASE_DISTANCE
+    kept = np.hypot(position[:, 0], position[:, 1]) >= BASE_DISTANCE
     kept &= position[:, 2] >= size[:, 2]
     ends = stroke.checkpoints[[0, -1]][None]
-    kept &= sampling_kernels.path_clearances(ends, np.zeros(2), rows, 1.0) >= _END_DISTANCE
+    kept &= kernels.path_clearances(ends, np.zeros(2), rows, 1.0) >= _END_DISTANCE
     start = body.paths(stroke.way[:1])
-    clear = sampling_kernels.path_clearances(start, body.spheres.radius, rows, 1.0)
-    kept &= clear >= common._START_CLEARANCE
+    clear = kernels.path_clearances(start, body.spheres.radius, rows, 1.0)
+    kept &= clear >= START_CLEARANCE
     rows, bump, beside = rows[kept], bump[kept], beside[kept]
     line, thin = stroke.line[::2, None], np.full(1, kinematics.PEN_RADIUS)
-    crossed = sampling_kernels.path_clearances(line, thin, rows, 1.0) <= -_DEPTH
+    crossed = kernels.path_clearances(line, thin, rows, 1.0) <= -_DEPTH
     bump[beside] = -1
     return rows[crossed | beside], bump[crossed | beside]
 
@@ -248,46 +263,44 @@ class _Draw:
 
 
 def _draw(
-    specification: common.DifficultySpecification, difficulty: str, rng: np.random.Generator
+    specification: DifficultySpecification, difficulty: str, rng: np.random.Generator
 ) -> _Draw | None:
     """Draw a stroke, a witness and obstacles; None if they do not fit together."""
     body = _body()
     stroke = _draw_stroke(rng)
-    if stroke is None or not common._within_limits(stroke.way):
+    if stroke is None or not within_limits(stroke.way):
         return None
-    bodies = np.array([common._row(TABLE)])
+    bodies = np.array([to_row(TABLE)])
     if specification.obstacles == 0:
-        none = np.empty((0, sampling_kernels.OBSTACLE_COLUMNS))
-        if not common._is_witness(body, stroke.way, bodies, none, 0.0):
+        none = np.empty((0, kernels.OBSTACLE_COLUMNS))
+        if not is_witness(body, stroke.way, bodies, none, 0.0):
             return None
         return _Draw(stroke, np.ones(len(stroke.checkpoints), np.bool_), none, stroke.way)
     number = _BUMPS[difficulty]
     phase = np.linspace(0.0, 1.0, _SAMPLES)
-    ways = common._resample(stroke.way[None], _SAMPLES) + np.concatenate(
+    ways = resample(stroke.way[None], _SAMPLES) + np.concatenate(
         [np.zeros((1, _SAMPLES, 6)), _bumpy(stroke, _FAMILY - 1, number, rng).along(phase)]
     )
     paths = body.paths(ways, body.swept)
     radius = body.spheres.radius[body.swept]
-    grid = sampling_kernels.rasterised(
-        paths, radius, common._GRID_ORIGIN, common._GRID_SPACING, common._GRID_SHAPE
-    )
+    grid = rasterise(paths, radius)
     for _ in range(_MAX_WITNESSES):
         bumps = _bumpy(stroke, 1, number, rng)
         witness = stroke.way + bumps.along(np.linspace(0.0, 1.0, _WITNESS_SAMPLES))[0]
-        if not common._within_limits(witness):
+        if not within_limits(witness):
             continue
         rows, bump = _draw_candidates(body, stroke, bumps, rng)
         way = body.paths(witness[::2])
         enough = specification.clearance + 0.005
         # A glance at few samples spares the close look at most.
         for part in (way[::10], way):
-            clear = sampling_kernels.path_clearances(part, body.spheres.radius, rows, enough)
+            clear = kernels.path_clearances(part, body.spheres.radius, rows, enough)
             rows, bump = rows[clear >= enough], bump[clear >= enough]
-        blocks = common._near(grid, rows, -common._BLOCKING_DEPTH, _FAMILY)
+        blocks = near(grid, rows, -BLOCKING_DEPTH, _FAMILY)
         chosen = _choose(stroke, witness, rows, bump, blocks, number, specification.obstacles)
         if chosen is None:
             continue
-        obstacles = [common._obstacle(row) for row in rows[chosen]]
+        obstacles = [to_obstacle(row) for row in rows[chosen]]
         hidden = draw_s.covered(stroke.checkpoints, obstacles)
         trace = draw_s.equal_arc(pen_path(witness))
         passed = draw_s.passed_in_order(trace, stroke.checkpoints, 1.0 - hidden)
@@ -295,7 +308,7 @@ def _draw(
         if (
             enough_left
             and passed == len(hidden)
-            and common._is_witness(body, witness, bodies, rows[chosen], specification.clearance)
+            and is_witness(body, witness, bodies, rows[chosen], specification.clearance)
         ):
             return _Draw(stroke, ~hidden, rows[chosen], witness)
     return None
@@ -305,7 +318,7 @@ def _covered(stroke: _Stroke, rows: FloatArray) -> BoolArray:
     """Return (M, 32), which checkpoints each obstacle covers."""
     point = np.zeros(1)
     distances = [
-        sampling_kernels.path_clearances(checkpoint[None, None], point, rows, 1.0)
+        kernels.path_clearances(checkpoint[None, None], point, rows, 1.0)
         for checkpoint in stroke.checkpoints
     ]
     covers: BoolArray = np.stack(distances, axis=1) < draw_s.COVERED_DISTANCE
@@ -328,13 +341,13 @@ def _choose(
     covers = _covered(stroke, rows)
     # Coverage of what is missed counts most, then how many ways are blocked.
     chosen: list[int] = []
-    apart = common._apart(rows, rows)
+    beside = apart(rows, rows)
     while len(chosen) < count:
-        allowed = apart[:, chosen].all(axis=1)
+        allowed = beside[:, chosen].all(axis=1)
         if len(chosen) < bumps:
             allowed &= bump == len(chosen)
         left = missed & ~covers[chosen].any(axis=0)
-        weight = common._REPEATED ** blocks[chosen].sum(axis=0)
+        weight = REPEATED ** blocks[chosen].sum(axis=0)
         worth = _FAMILY * (covers & left).sum(axis=1) + (blocks * weight).sum(axis=1)
         worth[~allowed] = -1.0
         if not len(worth) or worth.max() < 0.0:
@@ -346,13 +359,13 @@ def _choose(
 
 
 def sample(
-    specification: common.DifficultySpecification,
+    specification: DifficultySpecification,
     rng: np.random.Generator,
     difficulty: str,
     seed: int,
     version: int,
 ) -> tuple[Scene, FloatArray]:
-    """Return a scene of DrawS and its witness; see `scene_sampling.sample_with_witness`."""
+    """Return a scene of DrawS and its witness; see `scenes.sample_with_witness`."""
     for _ in range(_MAX_DRAWS):
         drawn = _draw(specification, difficulty, rng)
         if drawn is not None:
@@ -360,13 +373,13 @@ def sample(
     else:
         raise RuntimeError(f"no solvable scene found for DrawS, {difficulty}, seed {seed}")
     points = tuple((x, y, z) for x, y, z in drawn.stroke.checkpoints.tolist())
-    obstacles: tuple[Obstacle, ...] = tuple(common._obstacle(row) for row in drawn.rows)
+    obstacles: tuple[Obstacle, ...] = tuple(to_obstacle(row) for row in drawn.rows)
     scene = Scene(
         task="DrawS",
         version=version,
         difficulty=difficulty,  # type: ignore[arg-type]
         seed=seed,
-        start=common._configuration(drawn.stroke.way[0]),
+        start=to_configuration(drawn.stroke.way[0]),
         goals=(
             Goal(
                 kind="stroke",

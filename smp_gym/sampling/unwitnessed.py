@@ -1,7 +1,7 @@
 """Scenes placed without a witness: whether they can be solved is for others to find out.
 
 A scene with a witness favours planners that look where witnesses are looked for. Here goal, family
-and candidates are drawn as in `smp_gym.scene_sampling`, and obstacles are chosen to block the mean
+and candidates are drawn as in `smp_gym.sampling.scenes`, and obstacles are chosen to block the mean
 and as many proposals as they can; they keep clear of the configurations in which the proposals
 begin and end, but of nothing in between. So some of these scenes cannot
 be solved; `scripts/make_benchmark.py` certifies those that can.
@@ -10,12 +10,28 @@ be solved; `scripts/make_benchmark.py` certifies those that can.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from smp_gym import kinematics, sampling_kernels
-from smp_gym import scene_sampling as sampling
+from smp_gym import kinematics
+from smp_gym.sampling import kernels
+from smp_gym.sampling.body import ObjectTask
+from smp_gym.sampling.carrying import release_configuration
+from smp_gym.sampling.conversion import to_configuration, to_obstacle
+from smp_gym.sampling.family import BLOCKING_DEPTH, PROPOSALS, Family, draw_family
+from smp_gym.sampling.obstacles import (
+    PAIRED_CANDIDATES,
+    START_CLEARANCE,
+    apart,
+    choose,
+    draw_candidates,
+)
+from smp_gym.sampling.placing import draw_bin, placement_task
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification, generator
 from smp_gym.scene import DIFFICULTIES, Goal, ManipulatedObject, Scene
 
 __all__ = ["place_without_witness"]
+
+FloatArray = NDArray[np.float64]
 
 _MAX_DRAWS = 60
 
@@ -24,33 +40,33 @@ _TASKS = ("Placement",)
 
 
 def _choose_obstacles(
-    task: sampling._Task,
-    specification: sampling.DifficultySpecification,
+    task: ObjectTask,
+    specification: DifficultySpecification,
     goal: Goal,
-    family: sampling._Family,
+    family: Family,
     rng: np.random.Generator,
-) -> sampling.FloatArray | None:
+) -> FloatArray | None:
     """Return (M, 9) rows that block the mean and enough of the proposals; None if none do."""
     proposed = family.free[: family.proposals]
-    rows = sampling._draw_candidates(task, family, (goal,), rng)
+    rows = draw_candidates(task, family, (goal,), rng)
     # Every proposal ends over the goal: without this, that is where the obstacles would gather.
     end, radius = task.paths(family.configuration[None]), task.spheres.radius
-    clearance = sampling_kernels.path_clearances(end, radius, rows, 1.0)
-    rows = rows[clearance >= sampling._START_CLEARANCE]
-    depth = -sampling._BLOCKING_DEPTH
+    clearance = kernels.path_clearances(end, radius, rows, 1.0)
+    rows = rows[clearance >= START_CLEARANCE]
+    depth = -BLOCKING_DEPTH
     blocks = family.near(rows, depth)[:, : family.proposals] & proposed
     order = np.argsort(-blocks.sum(axis=1), kind="stable")
     rows, blocks = rows[order], blocks[order]
-    first = rows[: sampling._PAIRED_CANDIDATES]
+    first = rows[:PAIRED_CANDIDATES]
     # One possible witness that nothing comes near.
     clears = np.ones((len(rows), 1), np.bool_)
-    choice = sampling._choose(rows, blocks, clears, sampling._apart(first, first), specification)
+    choice = choose(rows, blocks, clears, apart(first, first), specification)
     if choice is None:
         return None
-    free = proposed & ~sampling._blocked(family, rows[choice])
+    free = proposed & ~family.blocked(rows[choice])
     if free[0] or free.sum() > specification.free_share * proposed.sum():
         return None
-    chosen: sampling.FloatArray = rows[choice]
+    chosen: FloatArray = rows[choice]
     return chosen
 
 
@@ -71,33 +87,30 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
     """
     if task not in _TASKS:
         raise ValueError(f"task must be one of {', '.join(_TASKS)}; got {task!r}")
-    crowded = [name for name in DIFFICULTIES if sampling.SPECIFICATIONS[name].obstacles]
+    crowded = [name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles]
     if difficulty not in crowded:
         raise ValueError(f"difficulty must be one of {', '.join(crowded)}; got {difficulty!r}")
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
-    specification = sampling.SPECIFICATIONS[difficulty]
-    sequence = sampling._seed_sequence(task, f"{difficulty}/without a witness", seed, version)
-    rng = np.random.Generator(np.random.PCG64(sequence))
-    data = sampling._placement()
+    specification = SPECIFICATIONS[difficulty]
+    rng = generator(task, f"{difficulty}/without a witness", seed, version)
+    data = placement_task()
     for _ in range(_MAX_DRAWS):
-        goal = sampling._draw_goal(rng)
+        goal = draw_bin(rng)
         try:
-            configuration = sampling._release_configuration(data, goal)
+            configuration = release_configuration(data, goal)
         except kinematics.UnreachableError:
             continue
-        family = sampling._draw_family(
-            data, (goal,), configuration, sampling._PROPOSALS, sampling._WIDE, rng
-        )
+        family = draw_family(data, (goal,), configuration, PROPOSALS, data.wide, rng)
         rows = _choose_obstacles(data, specification, goal, family, rng)
         if rows is not None:
             return Scene(
                 task=task,
                 version=version,
                 difficulty=difficulty,  # type: ignore[arg-type]
-                start=sampling._configuration(data.start),
+                start=to_configuration(data.start),
                 manipulated=ManipulatedObject(),
                 goals=(goal,),
-                obstacles=tuple(sampling._obstacle(row) for row in rows),
+                obstacles=tuple(to_obstacle(row) for row in rows),
             )
     raise RuntimeError(f"no obstacles block enough in {task}, {difficulty}, seed {seed}")

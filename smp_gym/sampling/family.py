@@ -1,0 +1,142 @@
+"""Families of trajectories: what a primitive would propose for a goal, and wider detours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.sampling import kernels
+from smp_gym.sampling.body import ObjectTask
+from smp_gym.sampling.carrying import carry
+from smp_gym.sampling.conversion import to_solid_row
+from smp_gym.sampling.detours import detour_basis, detours
+from smp_gym.sampling.grid import near, rasterise
+from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
+from smp_gym.scene import Goal, goal_boxes
+
+__all__ = ["BLOCKING_DEPTH", "PROPOSALS", "Family", "draw_family", "member"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+PROPOSALS = 104
+"""Detours of ordinary width."""
+
+
+BLOCKING_DEPTH = 0.015
+"""Metres: how deep an obstacle reaches into the covering spheres before a path counts as blocked.
+The spheres stand out of the arm's shapes by about that much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Trajectories for one goal: mean of the carried demonstrations, these, and their detours.
+
+    Attributes:
+        configuration: (6,) rad, where all of them end.
+        base: (M,) which demonstration each detour belongs to.
+        numbers: (M, F, 6) standard normal numbers, times the width, of the detours.
+        paths: (N, T, S, 3) m, centres of the swept spheres; N = 1 + demonstrations + M.
+        radius: (S,) m.
+        grid: which members sweep over which grid points.
+        proposals: how many, from the first, a primitive would propose.
+        free: (N,) whether table and goals leave a member free.
+        able: (N,) whether a member may serve as witness, as far as seen from these samples.
+    """
+
+    configuration: FloatArray
+    base: NDArray[np.int64]
+    numbers: FloatArray
+    paths: FloatArray
+    radius: FloatArray
+    grid: NDArray[np.uint64]
+    proposals: int
+    free: BoolArray
+    able: BoolArray
+
+    def near(self, rows: FloatArray, distance: float) -> BoolArray:
+        """Return (C, N), which members come within a distance (m) of which obstacles."""
+        return near(self.grid, rows, distance, len(self.paths))
+
+    def blocked(self, rows: FloatArray) -> BoolArray:
+        """Return which proposals obstacles block, (P,), checked without the grid."""
+        paths = self.paths[: self.proposals]
+        steps = kernels.longest_steps(paths)
+        each = kernels.blocked_paths(paths, self.radius, steps, rows, BLOCKING_DEPTH)
+        blocked: BoolArray = np.any(each, axis=0)
+        return blocked
+
+
+def draw_family(
+    task: ObjectTask,
+    goals: tuple[Goal, ...],
+    configuration: FloatArray,
+    proposals: int,
+    wide: int,
+    rng: np.random.Generator,
+) -> Family:
+    """Draw the family of a goal.
+
+    Args:
+        task: whose family.
+        goals: all of the scene; their bodies must be left free.
+        configuration: (6,) rad, where all members end.
+        proposals: how many detours of ordinary width.
+        wide: how many wider ones.
+        rng: source of all randomness.
+    """
+    demonstrations = len(task.demonstrations)
+    base = rng.integers(demonstrations, size=proposals + wide)
+    features = detour_basis(task.samples, task.pins).shape[1]
+    numbers = rng.standard_normal((len(base), features, 6))
+    numbers[proposals:] *= rng.uniform(1.0, task.widest, size=(wide, 1, 1))
+    carried = carry(task, configuration, task.samples)
+    mean = carried.mean(axis=0, keepdims=True)
+    trajectories = np.concatenate(
+        [mean, carried, carried[base] + detours(numbers, task.samples, task.pins)]
+    )
+    paths = task.paths(trajectories, task.swept)
+    radius = task.spheres.radius[task.swept]
+    grid = rasterise(paths, radius)
+    grounded = np.isin(task.swept, task.moving)
+    height = (paths[..., grounded, 2] - radius[grounded]).min(axis=(1, 2))
+    # The bin counts as solid here: its thin walls would fall through the grid.
+    solids = np.array([to_solid_row(goal) for goal in goals if goal_boxes(goal)])
+    solids = solids.reshape(-1, kernels.OBSTACLE_COLUMNS)
+
+    def clear(distance: float) -> BoolArray:
+        touched = near(grid, solids, distance, len(paths)).any(axis=0)
+        return ~touched & (height > distance)
+
+    able = clear(FIXTURE_CLEARANCE) & within_limits(trajectories)
+    if task.push is not None:
+        approach = paths[:, : int(task.push.phases[0] * (task.samples - 1)) + 1]
+        steps, row = kernels.longest_steps(approach), task.push.object_row
+        able &= ~kernels.blocked_paths(approach, radius, steps, row, -FIXTURE_CLEARANCE)[0]
+    return Family(
+        configuration=configuration,
+        base=base,
+        numbers=numbers,
+        paths=paths,
+        radius=radius,
+        grid=grid,
+        proposals=1 + demonstrations + proposals,
+        free=clear(-BLOCKING_DEPTH),
+        able=able,
+    )
+
+
+def member(task: ObjectTask, family: Family, index: int) -> FloatArray:
+    """Return member `index` of a family, (W, 6) rad, at the samples of a witness."""
+    carried = carry(task, family.configuration, WITNESS_SAMPLES)
+    if index == 0:
+        mean: FloatArray = carried.mean(axis=0)
+        return mean
+    if index <= len(carried):
+        return carried[index - 1]
+    detour = index - 1 - len(carried)
+    numbers = family.numbers[detour : detour + 1]
+    return carried[family.base[detour]] + detours(numbers, WITNESS_SAMPLES, task.pins)[0]

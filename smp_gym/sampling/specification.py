@@ -1,0 +1,41 @@
+"""What a difficulty means, and where the random numbers of a scene come from."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["SPECIFICATIONS", "DifficultySpecification", "generator"]
+
+
+@dataclass(frozen=True)
+class DifficultySpecification:
+    """What a difficulty means.
+
+    Attributes:
+        obstacles: how many.
+        on_table: how many of them must stand on the table; the others stand or float.
+        clearance: m, what every obstacle leaves between itself and the witness's spheres.
+        free_share: share of the proposals that may stay free; where more do, it is drawn anew.
+    """
+
+    obstacles: int
+    on_table: int
+    clearance: float
+    free_share: float
+
+
+SPECIFICATIONS = {
+    "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
+    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.03),
+    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.01),
+    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.0),
+}
+
+
+def generator(task: str, difficulty: str, seed: int, version: int) -> np.random.Generator:
+    """Return the source of all randomness of one scene."""
+    name = zlib.crc32(f"{task}/{difficulty}".encode())
+    return np.random.Generator(np.random.PCG64([name, version, seed]))

@@ -1,0 +1,61 @@
+"""Witnesses: whether a trajectory solves a scene, checked densely."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym import kinematics
+from smp_gym.sampling import kernels
+from smp_gym.sampling.body import Body
+
+__all__ = ["FIXTURE_CLEARANCE", "WITNESS_SAMPLES", "is_witness", "within_limits"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+WITNESS_SAMPLES = 200
+
+_MAX_DURATION = 14.0
+"""Seconds: longest witness, at constant speed of phase within the joint velocity limits."""
+
+FIXTURE_CLEARANCE = 0.010
+_SELF_CLEARANCE = 0.005
+_LIMIT_MARGIN = 0.05
+"""Witness: distance (m) to table and bin, to itself, and (rad) to the joint limits."""
+
+
+def within_limits(trajectories: FloatArray) -> BoolArray:
+    """Return which of (..., T, 6) trajectories keep the joint limits and are quick enough."""
+    low = kinematics.JOINT_LOWER + _LIMIT_MARGIN
+    high = kinematics.JOINT_UPPER - _LIMIT_MARGIN
+    inside = ((trajectories > low) & (trajectories < high)).all(axis=(-2, -1))
+    rate = np.abs(np.diff(trajectories, axis=-2)).max(axis=-2) * (trajectories.shape[-2] - 1)
+    duration = (rate / kinematics.JOINT_VELOCITY).max(axis=-1)
+    quick: BoolArray = inside & (duration <= _MAX_DURATION)
+    return quick
+
+
+def is_witness(
+    task: Body, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
+) -> bool:
+    """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`."""
+    if not within_limits(trajectory):
+        return False
+    path = task.paths(trajectory)
+    radius = task.spheres.radius
+    if (kernels.path_clearances(path, radius, rows, 1.0) < clearance).any():
+        return False
+    if task.push is not None:
+        # Nothing may knock the object over before the push begins.
+        approach = path[: int(task.push.phases[0] * (len(path) - 1)) + 1]
+        row = task.push.object_row
+        if kernels.path_clearances(approach, radius, row, 1.0)[0] < FIXTURE_CLEARANCE:
+            return False
+    # The arm's base stands on the table: only the moving spheres have to keep clear of it.
+    moving = np.ascontiguousarray(path[:, task.moving])
+    margins = kernels.path_clearances(moving, radius[task.moving], bodies, 1.0)
+    if (margins < FIXTURE_CLEARANCE).any():
+        return False
+    return bool(kernels.self_clearance(path, radius, task.pairs) >= _SELF_CLEARANCE)
