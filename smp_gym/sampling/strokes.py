@@ -25,8 +25,8 @@ from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import near, rasterise
 from smp_gym.sampling.obstacles import (
     BASE_DISTANCE,
-    HAND_LINK,
     HALF_EXTENTS,
+    HAND_LINK,
     REPEATED,
     SHAPE_SHARES,
     START_CLEARANCE,
@@ -221,7 +221,7 @@ def _draw_bumpy(
 
 
 def _grid(body: Body, stroke: Stroke, bumps: int, rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return the grid of what hand and pen sweep on ways along a stroke, the first without bumps."""
+    """Return the grid of what hand and pen sweep on ways, the first of which has no bumps."""
     aside = lead_aside(stroke, sample_centers(_FAMILY - 1, bumps, rng), rng)
     ways = np.repeat(resample(stroke.way[None], _SAMPLES), _FAMILY, axis=0)
     ways[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))

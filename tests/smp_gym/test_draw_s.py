@@ -17,7 +17,7 @@ from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, PEN_RADIUS, PEN_TIP
 from smp_gym.observation import decode, encode_desired_goal
 from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness
-from smp_gym.sampling.strokes import SCALE
+from smp_gym.sampling.stroke_ways import SCALE
 from smp_gym.scene import DIFFICULTIES, STROKE_POINTS, Goal, Obstacle, Scene
 from smp_gym.strokes import follow, moved, pen_path
 from smp_gym.tasks import make_task
