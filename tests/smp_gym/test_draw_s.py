@@ -108,7 +108,7 @@ def brute_force_reached(trace, checkpoints, demanded):
 def test_order_is_judged_as_by_walking_along_the_trace():
     rng = np.random.default_rng(0)
     agreed, reached = 0, []
-    for _ in range(200):
+    for _ in range(100):
         bend = rng.normal(0.0, 0.04, (4, 3))
         phase = np.linspace(0.0, 1.0, STROKE_POINTS)
         waves = np.sin(np.pi * np.outer(phase, np.arange(1, 5)))
@@ -120,7 +120,7 @@ def test_order_is_judged_as_by_walking_along_the_trace():
         walked = brute_force_reached(trace, LINE, demanded)
         agreed += found == walked
         reached.append(found)
-    assert agreed >= 195  # the rule cuts the trace less finely
+    assert agreed >= 97  # the rule cuts the trace less finely
     assert len(set(reached)) > 10
 
 
