@@ -21,7 +21,6 @@ from smp_gym.scene import (
 __all__ = [
     "BASE_DISTANCE",
     "HALF_EXTENTS",
-    "HAND_LINK",
     "PAIRED_CANDIDATES",
     "REPEATED",
     "SHAPE_SHARES",
@@ -35,7 +34,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
-HAND_LINK = 5
+_HAND_LINK = 5
 BASE_DISTANCE = 0.35
 """Obstacles stand in the way of the hand: near spheres from this link on, and so far (m) from the
 axis of the base. Nearer to it they would block more, but the shoulder, not the way."""
@@ -83,7 +82,7 @@ def draw_candidates(
         return np.empty((0, kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
     sample = rng.integers(task.samples, size=count)
-    hand = np.flatnonzero(task.spheres.link[task.swept] >= HAND_LINK)
+    hand = np.flatnonzero(task.spheres.link[task.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
     size = rng.uniform(*HALF_EXTENTS, size=(count, 3))

@@ -26,7 +26,6 @@ from smp_gym.sampling.grid import near, rasterise
 from smp_gym.sampling.obstacles import (
     BASE_DISTANCE,
     HALF_EXTENTS,
-    HAND_LINK,
     REPEATED,
     SHAPE_SHARES,
     START_CLEARANCE,
@@ -161,6 +160,17 @@ def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
     return np.asarray(distance < draw_s.COVERED_DISTANCE)
 
 
+def _keeps_clear(body: Body, way: FloatArray, rows: FloatArray, enough: float) -> BoolArray:
+    """Return from which obstacles (M,) every other sample of a way (T, 6) rad keeps a distance."""
+    kept = np.ones(len(rows), np.bool_)
+    # A glance at few samples spares the close look at most.
+    for stride in (20, 2):
+        path = body.paths(way[::stride])
+        clear = kernels.path_clearances(path, body.spheres.radius, rows[kept], enough)
+        kept[kept] = clear >= enough
+    return kept
+
+
 @dataclass(frozen=True, eq=False)
 class _Bumpy:
     """A way with bumps, (200, 6) rad, and obstacles that it avoids: (M, 9) rows, (M,) whose bump.
@@ -184,7 +194,6 @@ def _draw_bumpy(
     way = stroke.way
     rows = np.empty((0, kernels.OBSTACLE_COLUMNS))
     bump = np.empty(0, np.int64)
-    radius = body.spheres.radius
     for k, center in enumerate(centers):
         # Where later bumps will be, nothing is known yet.
         known = (np.abs(PHASES - centers[k + 1 :, None]) > BUMP_HALF_WIDTH[1]).all(axis=0)
@@ -200,11 +209,8 @@ def _draw_bumpy(
                 continue
             found = np.concatenate([rows, fresh])
             whose = np.concatenate([bump, np.full(len(fresh), k)])
-            path = body.paths((way + added)[known][::2])
-            # A glance at few samples spares the close look at most.
-            for part in (path[::10], path):
-                kept = kernels.path_clearances(part, radius, found, enough) >= enough
-                found, whose = found[kept], whose[kept]
+            kept = _keeps_clear(body, (way + added)[known], found, enough)
+            found, whose = found[kept], whose[kept]
             if len(np.unique(whose)) == k + 1:
                 way, rows, bump = way + added, found, whose
                 break
@@ -213,20 +219,16 @@ def _draw_bumpy(
     beside = _draw_beside(body, stroke, centers, rng)
     rows = np.concatenate([rows, beside])
     bump = np.concatenate([bump, np.full(len(beside), -1)])
-    path = body.paths(way[::2])
-    for part in (path[::10], path):
-        kept = kernels.path_clearances(part, radius, rows, enough) >= enough
-        rows, bump = rows[kept], bump[kept]
-    return _Bumpy(way, rows, bump)
+    kept = _keeps_clear(body, way, rows, enough)
+    return _Bumpy(way, rows[kept], bump[kept])
 
 
 def _grid(body: Body, stroke: Stroke, bumps: int, rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return the grid of what hand and pen sweep on ways, the first of which has no bumps."""
+    """Return the grid of ways along a stroke, the first without bumps."""
     aside = lead_aside(stroke, sample_centers(_FAMILY - 1, bumps, rng), rng)
     ways = np.repeat(resample(stroke.way[None], _SAMPLES), _FAMILY, axis=0)
     ways[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))
-    spheres = body.swept[body.spheres.link[body.swept] >= HAND_LINK]
-    return rasterise(body.paths(ways, spheres), body.spheres.radius[spheres])
+    return rasterise(body.paths(ways, body.swept), body.spheres.radius[body.swept])
 
 
 def _choose(
