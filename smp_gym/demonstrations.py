@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS, Scene
+from smp_gym.strokes import pen_path
 
 __all__ = ["DEMONSTRATION_SAMPLES", "FORMAT_VERSION", "Demonstrations", "resample"]
 
@@ -121,6 +122,19 @@ class Demonstrations:
     def mean(self) -> FloatArray:
         """(T, D) rad, mean over the demonstrations at each phase."""
         return self.configurations.mean(axis=0)
+
+    @property
+    def pen_paths(self) -> FloatArray:
+        """(N, T, 3) m, where the pen's tip is: the demonstrations of DrawS in Cartesian space.
+
+        By forward kinematics from the configurations, in the base frame.
+
+        Raises:
+            ValueError: demonstrations of another task, in which the hand holds no pen.
+        """
+        if self.task != "DrawS":
+            raise ValueError(f"only demonstrations of DrawS have pen_paths; these are {self.task}")
+        return pen_path(self.configurations)
 
     @property
     def release_phase(self) -> float:

@@ -230,18 +230,17 @@ class Jaco:
         return position, (hand * Rotation.from_matrix(np.array(pose[:3, :3]))).as_quat()
 
     def motion(
-        self, pose: NDArray[np.floating[Any]]
+        self, point: NDArray[np.floating[Any]]
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return where something fixed to the hand is and how it moves.
+        """Return where a point fixed to the hand is and how it moves.
 
         Args:
-            pose: (4, 4) its pose in the end-effector frame.
+            point: (3,) m, in the end-effector frame.
 
         Returns:
-            Position (3,) m and quaternion (4,), linear velocity (3,) m/s and angular velocity (3,)
-            rad/s, in the base frame.
+            Position (3,) m, quaternion (4,) of the end effector, linear velocity (3,) m/s of the
+            point and angular velocity (3,) rad/s, in the base frame.
         """
-        position, quaternion = self.carried(pose)
         link = pybullet.getLinkState(
             self._body,
             self._end_effector,
@@ -249,8 +248,10 @@ class Jaco:
             computeForwardKinematics=True,
             physicsClientId=self._client,
         )
-        origin, linear, angular = (np.array(link[i]) for i in (4, 6, 7))
-        return position, quaternion, linear + np.cross(angular, position - origin), angular
+        origin, quaternion, linear, angular = (np.array(link[i]) for i in (4, 5, 6, 7))
+        rotation = np.reshape(pybullet.getMatrixFromQuaternion(link[5]), (3, 3))
+        offset = rotation @ point
+        return origin + offset, quaternion, linear + np.cross(angular, offset), angular
 
     def put(self, configuration: Sequence[float]) -> None:
         """Put the arm into a configuration (6,) rad, at rest; the fingers stay as they are."""

@@ -21,6 +21,8 @@ _DIRECTION_LENGTH = 1.5e-3
 """Metres that a pen pointing one radian off counts as."""
 
 _LARGEST_STEP = 0.3
+_SMALLEST_STEP = 1e-4
+"""Rad that a joint may turn in one iteration, and below which the search ends."""
 
 
 def pen_path(configurations: FloatArray) -> FloatArray:
@@ -59,7 +61,7 @@ def follow(
         points: (N, 3) m.
         near: (N, 6) rad, from which the search starts and to which it is pulled.
         directions: (N, 3) unit vectors along which the pen shall point, or None for any.
-        iterations: of Gauss-Newton.
+        iterations: of Gauss-Newton, at most.
 
     Returns:
         (N, 6) rad within the joint limits, and the largest remaining distance to a point, m.
@@ -82,4 +84,6 @@ def follow(
         step = np.linalg.solve(hessian, slope[..., None])[..., 0]
         step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         q = np.clip(q + step, kinematics.JOINT_LOWER, kinematics.JOINT_UPPER)
+        if np.abs(step).max() < _SMALLEST_STEP:
+            break
     return q, float(np.linalg.norm(pen_path(q) - points, axis=-1).max())

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from smp_gym import assets
 from smp_gym.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
-from smp_gym.kinematics import LINKS, PEN_RADIUS
-from smp_gym.observation import CONTROL_PERIOD, ObjectState, RobotState
+from smp_gym.kinematics import LINKS, PEN_RADIUS, PEN_TIP
+from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, ObjectState, RobotState
 from smp_gym.scene import TABLE, ManipulatedObject, Obstacle, Scene, goal_bodies, goal_boxes
 from smp_gym.tasks import Status, Task
 from smp_gym.tasks.draw_s import PEN_CONFIGURATION
@@ -83,7 +83,6 @@ class Workcell:
         collision: names of the two parts of the first forbidden contact, or None.
         clearance: m, the least distance so far of arm or held object to an obstacle, at most
             `CLEARANCE_LIMIT`.
-        trace: (3,) m each, where the pen's tip was at the start and after each step.
     """
 
     arm: Jaco
@@ -131,7 +130,7 @@ class Workcell:
         self.clearance = CLEARANCE_LIMIT
         self._pen = manipulated is None
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
-        self.trace: list[FloatArray] = []
+        self._trace, self._traced = np.empty((0, 3)), 0
         self._calm_steps = 0
         self._squeezing = True
         self._contacts: frozenset[Contact] = frozenset()
@@ -261,8 +260,8 @@ class Workcell:
         world = self.world
         self.robot = self.arm.state()
         if self._pen:
-            position, quaternion, linear, angular = self.arm.motion(self._task.object_in_hand)
-            self.trace.append(position)
+            position, quaternion, linear, angular = self.arm.motion(PEN_TIP)
+            self._mark(position)
         else:
             position, quaternion = world.pose("object")
             linear, angular = world.velocity("object")
@@ -278,8 +277,16 @@ class Workcell:
             held=held,
             calm_steps=self._calm_steps,
             collided=self.collision is not None,
-            trace=np.array(self.trace).reshape(-1, 3),
+            trace=self._trace[: self._traced],
         )
+
+    def _mark(self, point: FloatArray) -> None:
+        """Append a point to the trace; what was handed out of it keeps its values."""
+        if self._traced == len(self._trace):
+            room = max(MAX_EPISODE_STEPS + 1, 2 * self._traced)
+            self._trace = np.concatenate([self._trace, np.empty((room - self._traced, 3))])
+        self._trace[self._traced] = point
+        self._traced += 1
 
 
 def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:

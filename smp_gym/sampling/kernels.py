@@ -21,6 +21,7 @@ __all__ = [
     "packed",
     "path_clearances",
     "point_distance",
+    "point_distances",
     "rasterised",
     "self_clearance",
     "sphere_paths",
@@ -113,6 +114,16 @@ def point_distance(x: float, y: float, z: float, obstacle: Array) -> float:
         outside = math.sqrt(max(u, 0.0) ** 2 + max(w, 0.0) ** 2)
         return outside + min(max(u, w), 0.0)
     return math.sqrt(dx * dx + dy * dy + dz * dz) - obstacle[6]
+
+
+@njit(cache=True)
+def point_distances(points: Array, obstacles: Array) -> Array:
+    """Return the signed distances (M, N) of points (N, 3) to the surfaces of obstacles (M, 9)."""
+    out = np.empty((len(obstacles), len(points)))
+    for m in range(len(obstacles)):
+        for n in range(len(points)):
+            out[m, n] = point_distance(points[n, 0], points[n, 1], points[n, 2], obstacles[m])
+    return out
 
 
 @njit(cache=True)

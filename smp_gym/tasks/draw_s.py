@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from smp_gym.kinematics import PEN_TIP
 from smp_gym.scene import STROKE_POINTS, Obstacle, Scene
+from smp_gym.tasks import stroke_kernels
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_still_and_startable
 from smp_gym.tasks.status import Status
 
@@ -59,13 +61,7 @@ def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float6
     Returns:
         (count, 3), the first and last being those of the line.
     """
-    line = np.asarray(line, np.float64)
-    steps = np.linalg.norm(np.diff(line, axis=0), axis=-1)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
-    if arc[-1] == 0.0:
-        return np.repeat(line[-1:], count, axis=0)
-    at = np.linspace(0.0, arc[-1], count)
-    return np.stack([np.interp(at, arc, axis) for axis in line.T], axis=-1)
+    return stroke_kernels.equal_arc(np.ascontiguousarray(line, np.float64), count)
 
 
 def covered(points: FloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
@@ -78,15 +74,8 @@ def covered(points: FloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
 
 def _distance(points: FloatArray, obstacle: Obstacle) -> FloatArray:
     """Return the distance (N,) of points (N, 3) to an obstacle's surface, 0 inside."""
-    x, y, z, w = obstacle.quaternion
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    local = (points - obstacle.position) @ rotation
+    turn = Rotation.from_quat(obstacle.quaternion).inv()
+    local = turn.apply(points - obstacle.position)
     size = np.asarray(obstacle.size)
     if obstacle.shape == "sphere":
         return np.maximum(np.linalg.norm(local, axis=-1) - size[0], 0.0)
@@ -115,26 +104,21 @@ def passed_in_order(
     Returns:
         (...) index of the first demanded checkpoint that was not passed, N if all were.
     """
-    share = np.arange(_SUBDIVISION)[:, None] / _SUBDIVISION
-    before, after = trace[..., :-1, None, :], trace[..., 1:, None, :]
-    between = before + share * (after - before)
-    shape = (*trace.shape[:-2], -1, 3)
-    line = np.concatenate([between.reshape(shape), trace[..., -1:, :]], axis=-2)
-    offset = line[..., :, None, :] - checkpoints[..., None, :, :]
-    near = np.einsum("...i,...i->...", offset, offset) <= CHECKPOINT_TOLERANCE**2
-    count = checkpoints.shape[-2]
-    index = np.arange(line.shape[-2])
-    place = np.zeros(trace.shape[:-2], np.int64)
-    reached = np.full(trace.shape[:-2], count)
-    open_ = np.ones(trace.shape[:-2], np.bool_)
-    for k in range(count):
-        fitting = near[..., k] & (index >= place[..., None])
-        needed = demanded[..., k] > 0.5
-        missed = open_ & needed & ~fitting.any(axis=-1)
-        reached = np.where(missed, k, reached)
-        open_ &= ~missed
-        place = np.where(open_ & needed, fitting.argmax(axis=-1), place)
-    return np.asarray(reached)
+    shape = np.broadcast_shapes(trace.shape[:-2], checkpoints.shape[:-2], demanded.shape[:-1])
+    reached = stroke_kernels.passed_in_order(
+        _batch(trace, shape, 2),
+        _batch(checkpoints, shape, 2),
+        _batch(demanded, shape, 1),
+        CHECKPOINT_TOLERANCE,
+        _SUBDIVISION,
+    )
+    return np.asarray(reached.reshape(shape))
+
+
+def _batch(values: FloatArray, shape: tuple[int, ...], axes: int) -> NDArray[np.float64]:
+    """Return (..., A...) values, broadcast to a shape, as contiguous (B, A...)."""
+    own = values.shape[values.ndim - axes :]
+    return np.ascontiguousarray(np.broadcast_to(values, shape + own).reshape(-1, *own), np.float64)
 
 
 @dataclass(frozen=True)
