@@ -29,6 +29,7 @@ import smp_gym
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import STATE_LAYOUT
 from smp_gym.scene import Scene
+from smp_gym.scene_sampling import sample_scene
 
 ROLLOUT_STEPS = 60
 """Steps of an episode that is compared; it goes on past its first collision."""
@@ -38,6 +39,12 @@ EPISODE_STEPS = 150
 
 OTHER_EPISODES = 20
 """Episodes that are played before one that shall come out the same."""
+
+OTHER_SCENES = 2
+"""Scenes that these are played in, by turns."""
+
+DIFFICULTY = "easy"
+"""Of all of them."""
 
 NEW_SCENE_EVERY = 10
 """Of so many resets, one draws a scene that was not seen before."""
@@ -121,14 +128,14 @@ def check_bounds(id: str, steps: int, difficulty: str = "hard") -> Bounds:
     return Bounds(collisions, velocity)
 
 
-def play_digest(env: ManipulationEnv, seed: int, steps: int = ROLLOUT_STEPS) -> tuple[str, bool]:
-    """Play an episode that moves, drops the object and runs into things.
+def play_digest(env: ManipulationEnv, scene: Scene, steps: int = ROLLOUT_STEPS) -> tuple[str, bool]:
+    """Play a scene so that the arm moves, drops the object and runs into things.
 
     Returns:
         A digest of all bits that it gave, and whether it collided.
     """
-    rng = np.random.default_rng(seed)
-    observation, info = env.reset(seed=seed)
+    rng = np.random.default_rng(scene.seed)
+    observation, info = env.reset(options={"scene": scene})
     digest = hashlib.sha256()
     for step in range(steps):
         if step % 20 == 0:
@@ -150,19 +157,22 @@ def check_repeats(
     Returns:
         The episode's seed, the first that makes contacts, and its digest.
     """
-    fresh = make(id)
-    seed, (digest, collided) = 0, play_digest(fresh, 0)
+    seed = -1
+    collided = False
     while not collided:
+        seed += 1
+        fresh = make(id)
+        scene = sample_scene(fresh.task.name, DIFFICULTY, seed)
+        digest, collided = play_digest(fresh, scene)
         fresh.close()
-        fresh, seed = make(id), seed + 1
-        digest, collided = play_digest(fresh, seed)
-    fresh.close()
+    count = min(others, OTHER_SCENES)
+    scenes = [sample_scene(scene.task, DIFFICULTY, seed + k + 1) for k in range(count)]
     used = make(id)
-    for other in range(1, others + 1):
-        play_digest(used, seed + other, other_steps)
-    again, _ = play_digest(used, seed)
-    assert again == digest, f"{id}, seed {seed}, differs after {others} other episodes"
+    for other in range(others):
+        play_digest(used, scenes[other % count], other_steps)
+    again, _ = play_digest(used, scene)
     used.close()
+    assert again == digest, f"{id}, seed {seed}, differs after {others} other episodes"
     return seed, digest
 
 
@@ -172,7 +182,9 @@ def digests_elsewhere(seeds: Mapping[str, int]) -> list[str]:
         "import runpy, sys\n"
         "script = runpy.run_path(sys.argv[1])\n"
         "for id, seed in zip(sys.argv[2::2], sys.argv[3::2]):\n"
-        "    print('digest', script['play_digest'](script['make'](id), int(seed))[0])"
+        "    env = script['make'](id)\n"
+        "    scene = script['sample_scene'](env.task.name, script['DIFFICULTY'], int(seed))\n"
+        "    print('digest', script['play_digest'](env, scene)[0])"
     )
     pairs = [argument for id, seed in seeds.items() for argument in (id, str(seed))]
     run = subprocess.run(

@@ -20,6 +20,7 @@ from smp_gym.scene import (
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
     EVALUATION_SEEDS_START,
+    MAX_OBSTACLES,
     Goal,
     Obstacle,
 )
@@ -39,6 +40,7 @@ STAY = np.zeros(7, np.float32)
 OPEN = np.array([0, 0, 0, 0, 0, 0, -1], np.float32)
 EMPTY = sample_scene("Placement", "none", 0)
 SCENE = sample_scene("Placement", "medium", 5)
+BALL = {"shape": "sphere", "position": (1.0, 1.0, 1.0), "size": (0.05, 0.05, 0.05)}
 
 
 @pytest.fixture(scope="module")
@@ -226,6 +228,13 @@ def test_a_scene_can_be_replayed_in_every_form(env, form):
         ({"scene": {**EMPTY.model_dump(), "task": "Juggling"}}, "Juggling"),
         ({"scene": 5}, "int"),
         ({"seen": EMPTY}, "seen"),
+        ({"scene": sample_scene("DrawS", "none", 0)}, "must be 'Placement', got 'DrawS'"),
+        (
+            {"scene": {**EMPTY.model_dump(), "obstacles": [BALL] * (MAX_OBSTACLES + 1)}},
+            "at most 16",
+        ),
+        ({"scene": {**EMPTY.model_dump(), "obstacles": [{**BALL, "size": None}]}}, "size"),
+        ({"scene": {**EMPTY.model_dump(), "obstacles": [{**BALL, "size": (0, 0, 0)}]}}, "size"),
         ({"scene": EMPTY.model_copy(update={"manipulated": None})}, "manipulated"),
     ],
 )
@@ -265,6 +274,8 @@ def test_an_object_that_does_not_fit_the_hand_is_refused(env):
         (np.array([0, 1.01, 0, 0, 0, 0, 0]), r"1\.01"),
         (None, "shape"),
         ("up", "up"),
+        (np.array(["a"] * 7), "must hold 7 numbers"),
+        (np.array([object()] * 7), "must hold 7 numbers"),
     ],
 )
 def test_bad_actions_are_refused_and_move_nothing(env, action, message):
