@@ -3,16 +3,13 @@
 import hashlib
 import json
 import pickle
-import subprocess
 import sys
 import warnings
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env as gymnasium_check_env
 from gymnasium.wrappers import RecordVideo
-from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import smp_gym
 from smp_gym import kinematics
@@ -23,8 +20,8 @@ from smp_gym.scene import (
     BIN_HEIGHT,
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
-    DIFFICULTIES,
     EVALUATION_SEEDS_START,
+    MAX_OBSTACLES,
     Goal,
     Obstacle,
 )
@@ -43,6 +40,7 @@ STAY = np.zeros(7, np.float32)
 OPEN = np.array([0, 0, 0, 0, 0, 0, -1], np.float32)
 EMPTY = sample_scene("Placement", "none", 0)
 SCENE = sample_scene("Placement", "medium", 5)
+BALL = {"shape": "sphere", "position": (1.0, 1.0, 1.0), "size": (0.05, 0.05, 0.05)}
 
 
 @pytest.fixture(scope="module")
@@ -119,25 +117,6 @@ def place(env):
 
 
 @pytest.mark.parametrize("id", IDS)
-def test_gymnasium_checker_finds_nothing(id):
-    env = gymnasium.make(id)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # The checker makes the environment again in every render mode but "human".
-        gymnasium_check_env(env.unwrapped, skip_render_check=True)
-    env.close()
-
-
-@pytest.mark.parametrize("id", IDS)
-def test_stable_baselines3_checker_finds_nothing(id):
-    env = gymnasium.make(id)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        sb3_check_env(env.unwrapped)
-    env.close()
-
-
-@pytest.mark.parametrize("id", IDS)
 def test_specification(id):
     spec = gymnasium.spec(id)
     assert isinstance(spec.entry_point, str)
@@ -162,28 +141,6 @@ def test_time_runs_out_after_the_limit():
         assert (reward, terminated) == (-1.0, False)
         assert truncated is (step == MAX_EPISODE_STEPS)
         assert info["failure"] == ("timeout" if truncated else "")
-    env.close()
-
-
-@pytest.mark.parametrize("difficulty", DIFFICULTIES)
-def test_observations_stay_in_bounds_whatever_happens(difficulty):
-    env = ManipulationEnv(difficulty=difficulty)
-    env.action_space.seed(0)
-    space = env.observation_space
-    extremes = np.random.default_rng(0)
-    for episode in range(5):
-        observation, _ = env.reset(seed=episode)
-        assert space.contains(observation)
-        for step in range(150):
-            if step % 10 == 0:
-                action = extremes.choice([-1.0, 1.0], 7).astype(np.float32)
-            # On past collisions: this is where velocities are greatest.
-            observation, reward, terminated, truncated, info = env.step(action)
-            assert space.contains(observation)
-            assert type(reward) is float
-            assert type(terminated) is bool
-            assert truncated is False
-            assert type(info["is_success"]) is bool
     env.close()
 
 
@@ -254,22 +211,6 @@ def test_an_episode_is_the_same_bit_for_bit_in_a_rebuilt_world(env):
     assert rollout_digest(env, SCENE) == before
 
 
-def test_an_episode_is_the_same_bit_for_bit_in_another_process(env):
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from test_env import SCENE, ManipulationEnv, rollout_digest\n"
-        "print('digest', rollout_digest(ManipulationEnv(), SCENE))"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code, __file__.rpartition("/")[0]],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=__file__.rpartition("/tests/")[0],
-    )
-    assert f"digest {rollout_digest(env, SCENE)}" in run.stdout
-
-
 @pytest.mark.parametrize("form", [lambda s: s, lambda s: s.to_json(), lambda s: s.model_dump()])
 def test_a_scene_can_be_replayed_in_every_form(env, form):
     scene = sample_scene("Placement", "easy", 21)
@@ -287,6 +228,13 @@ def test_a_scene_can_be_replayed_in_every_form(env, form):
         ({"scene": {**EMPTY.model_dump(), "task": "Juggling"}}, "Juggling"),
         ({"scene": 5}, "int"),
         ({"seen": EMPTY}, "seen"),
+        ({"scene": sample_scene("DrawS", "none", 0)}, "must be 'Placement', got 'DrawS'"),
+        (
+            {"scene": {**EMPTY.model_dump(), "obstacles": [BALL] * (MAX_OBSTACLES + 1)}},
+            "at most 16",
+        ),
+        ({"scene": {**EMPTY.model_dump(), "obstacles": [{**BALL, "size": None}]}}, "size"),
+        ({"scene": {**EMPTY.model_dump(), "obstacles": [{**BALL, "size": (0, 0, 0)}]}}, "size"),
         ({"scene": EMPTY.model_copy(update={"manipulated": None})}, "manipulated"),
     ],
 )
@@ -326,6 +274,8 @@ def test_an_object_that_does_not_fit_the_hand_is_refused(env):
         (np.array([0, 1.01, 0, 0, 0, 0, 0]), r"1\.01"),
         (None, "shape"),
         ("up", "up"),
+        (np.array(["a"] * 7), "must hold 7 numbers"),
+        (np.array([object()] * 7), "must hold 7 numbers"),
     ],
 )
 def test_bad_actions_are_refused_and_move_nothing(env, action, message):

@@ -1,0 +1,81 @@
+"""Export demonstrations as data sets of Minari; needs the extra ``minari``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.minari_export import Act, dataset_path, export_demonstrations
+from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.tracking import Track, gripper_event
+
+
+def acts(demonstrations: Demonstrations) -> list[Act]:
+    """Return what executes each demonstration as it was given, its own gripper included."""
+    return [
+        Track(configurations, float(duration), gripper_event(gripper[None])).action
+        for configurations, duration, gripper in zip(
+            demonstrations.configurations,
+            demonstrations.durations,
+            demonstrations.gripper,
+            strict=True,
+        )
+    ]
+
+
+def main(
+    task: Annotated[
+        str, typer.Option(help=f"One of {', '.join(TASKS)}, or a file of demonstrations.")
+    ] = TASKS[0],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Root of the data sets; default MINARI_DATASETS_PATH or ~/.minari."),
+    ] = None,
+    dataset_id: Annotated[
+        str | None, typer.Option(help="Default smp_gym/TASK/demonstrations-v1.")
+    ] = None,
+    difficulty: Annotated[
+        str,
+        typer.Option(
+            help=f"Of the environment that the data set brings: {', '.join(DIFFICULTIES)}."
+        ),
+    ] = "medium",
+    overwrite: Annotated[bool, typer.Option(help="Replace a data set of the same id.")] = False,
+) -> None:
+    """Play the demonstrations of a task and write them; refuse unless all of them succeed."""
+    console = Console()
+    if out is not None:
+        os.environ["MINARI_DATASETS_PATH"] = str(out)
+    bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    try:
+        demonstrations = Demonstrations.load(task)
+        with Progress(*bar, TimeRemainingColumn(), console=console, transient=True) as progress:
+            playing = progress.add_task(demonstrations.task, total=len(demonstrations))
+            dataset = export_demonstrations(
+                demonstrations,
+                acts(demonstrations),
+                dataset_id,
+                difficulty=difficulty,
+                overwrite=overwrite,
+                finished=lambda _: progress.advance(playing),
+            )
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        console.print(f"nothing written: {error}", highlight=False, soft_wrap=True)
+        raise typer.Exit(1) from error
+    console.print(
+        f"wrote {dataset.id}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, "
+        f"in {dataset_path(dataset.id)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+if __name__ == "__main__":
+    typer.run(main)
