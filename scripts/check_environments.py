@@ -29,7 +29,7 @@ import smp_gym
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import STATE_LAYOUT
 from smp_gym.scene import Scene
-from smp_gym.scene_sampling import sample_scene
+from smp_gym.sampling import sample_scene
 
 ROLLOUT_STEPS = 60
 """Steps of an episode that is compared; it goes on past its first collision."""

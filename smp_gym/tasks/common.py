@@ -12,8 +12,9 @@ from smp_gym.scene import Scene
 
 __all__ = ["POTENTIAL_PER_METRE", "check_still_and_startable", "goal_columns"]
 
-POTENTIAL_PER_METRE = 100.0
-"""By how much the dense reward's potential rises on the way to the goal."""
+POTENTIAL_PER_METRE = 20.0
+"""By how much the dense reward's potential rises on the way to the goal. The end of an episode, by
+failure too, forgives the way that is left: 2 m of it must count for much less than a failure."""
 
 
 @cache

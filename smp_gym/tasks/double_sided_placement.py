@@ -136,7 +136,7 @@ class DoubleSidedPlacement(PlacingTask):
         return np.asarray(self.reached(achieved, desired).any(axis=-1))
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return minus the object's distance from the nearer of its places, 100 per metre."""
+        """Return minus the object's distance from the nearer of its places, 20 per metre."""
         distances = [
             np.linalg.norm(achieved[..., at] - desired[..., at], axis=-1) for at in _POSITIONS
         ]

@@ -200,7 +200,7 @@ class DrawS:
         return np.zeros(np.broadcast_shapes(achieved.shape, desired.shape)[:-1], np.bool_)
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return minus the way that is left along the stroke, (...), 100 per metre.
+        """Return minus the way that is left along the stroke, (...), 20 per metre.
 
         It is the distance of the pen to the next demanded checkpoint, and from there the length of
         the stroke.

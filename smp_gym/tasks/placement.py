@@ -96,7 +96,7 @@ class Placement(PlacingTask):
         return np.asarray(near & self._let_go(achieved, desired))
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return minus the object's distance from its place, (...), 100 per metre."""
+        """Return minus the object's distance from its place, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return -POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1)
 

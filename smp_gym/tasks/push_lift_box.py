@@ -189,7 +189,7 @@ class PushLiftBox:
         return np.zeros(np.shape(achieved)[:-1], np.bool_)
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return minus the box's distance from its target, (...), 100 per metre."""
+        """Return minus the box's distance from its target, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return np.asarray(-POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1))
 
