@@ -28,8 +28,8 @@ from stable_baselines3.common.env_checker import check_env as stable_baselines3_
 import smp_gym
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import STATE_LAYOUT
-from smp_gym.scene import Scene
 from smp_gym.sampling import sample_scene
+from smp_gym.scene import Scene
 
 ROLLOUT_STEPS = 60
 """Steps of an episode that is compared; it goes on past its first collision."""

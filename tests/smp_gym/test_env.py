@@ -507,7 +507,7 @@ def test_dense_rewards_add_up_to_sparse_ones_plus_the_first_potential(dense, fin
     scene = scene_with(cube(ahead, 0.025)) if blocked else EMPTY
     observation, _ = dense.reset(options={"scene": scene})
     achieved = observation["achieved_goal"].astype(np.float64)
-    start = -100.0 * np.linalg.norm((achieved - observation["desired_goal"])[:3])
+    start = -20.0 * np.linalg.norm((achieved - observation["desired_goal"])[:3])
     results = finish(dense)
     assert results[-1][2]
     rewards = np.array([r[1] for r in results])
