@@ -111,7 +111,7 @@ def test_goals_are_judged_in_any_shape_as_one_by_one():
     for index in np.ndindex(*shape):
         assert success[index] == TASK.success(achieved[index], DESIRED)
         distances = [np.sqrt(((places[index] - place) ** 2).sum()) for place in (LEFT, RIGHT)]
-        assert potential[index] == pytest.approx(-100.0 * min(distances))
+        assert potential[index] == pytest.approx(-20.0 * min(distances))
 
 
 def test_the_achieved_goal_is_reached_by_itself():

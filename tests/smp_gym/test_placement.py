@@ -81,7 +81,7 @@ def test_goals_are_judged_in_any_shape_as_one_by_one():
         assert success[index] == TASK.success(achieved[index], DESIRED)
         assert collided[index] == (achieved[index][3] == 1.0)
         distance = np.sqrt(((achieved[index][:3] - PLACE) ** 2).sum())
-        assert potential[index] == pytest.approx(-100.0 * distance)
+        assert potential[index] == pytest.approx(-20.0 * distance)
 
 
 def status(contacts=(), held=False, calm_steps=0, collided=False):
