@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from smp_gym import kinematics
@@ -158,12 +157,12 @@ def _body(primitive: Any, pose: _Pose, where: str) -> Obstacle | None:
         a = b = c = dimensions[0]
     x, y, z = pose.position.tolist()
     qx, qy, qz, qw = pose.rotation.as_quat().tolist()
-    try:
-        return Obstacle(
-            shape=shape, position=(x, y, z), quaternion=(qx, qy, qz, qw), size=(a, b, c)
-        )
-    except ValidationError as error:
-        raise ValueError(f"{where} is no obstacle: {error}") from error
+    return Obstacle(
+        shape=shape,  # type: ignore[arg-type]
+        position=(x, y, z),
+        quaternion=(qx, qy, qz, qw),
+        size=(a, b, c),
+    )
 
 
 def _bodies(

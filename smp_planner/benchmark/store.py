@@ -91,9 +91,9 @@ class Manifest:
         """Return all episodes, in the order in which they are played: one of each in turn."""
         names = [self._names(task) for task in self.tasks]
         return [
-            EpisodeKey(task, method, self.difficulty, *name, self.family)
+            EpisodeKey(task, method, self.difficulty, seed, half, self.family)
             for together in zip(*names, strict=True)
-            for task, name in zip(self.tasks, together, strict=True)
+            for task, (seed, half) in zip(self.tasks, together, strict=True)
             for method in self.methods
         ]
 
