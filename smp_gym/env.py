@@ -26,8 +26,14 @@ from smp_gym.observation import (
     encode,
     observation_space,
 )
-from smp_gym.sampling import sample_scene
-from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, Scene
+from smp_gym.sampling import sample_of_family
+from smp_gym.scene import (
+    DIFFICULTIES,
+    EVALUATION_SEEDS_START,
+    FAMILIES,
+    FURNISHED_TASKS,
+    Scene,
+)
 from smp_gym.tasks import make_task
 from smp_gym.workcell import Workcell
 from smp_gym.world import Camera
@@ -68,15 +74,16 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     for after every physics step.
 
     **Seeds**: ``reset(seed=s)`` starts the episode whose scene is
-    ``sample_scene(task, difficulty, s)``, a pure function. A reset without seed draws the next one
-    from ``np_random``, always below `EVALUATION_SEEDS_START`: seeds from there on are kept for
-    evaluation and come up only when asked for.
+    ``sample_scene(task, difficulty, s)``, with furniture ``sample_furniture(task, family, s)``:
+    pure functions. A reset without seed draws the next one from ``np_random``, always below
+    `EVALUATION_SEEDS_START`: seeds from there on are kept for evaluation and come up only when
+    asked for.
 
     **Info**, in every step: ``is_success``; ``collided``; ``collision``, the names of the two
     parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle,
     m, at most 0.05; ``failure``, "" or why the episode has failed: "collision", the task's own
     cause (of placing: "dropped", onto the table), "misplaced" (lost otherwise), or "timeout";
-    ``seed`` (None for a scene that was handed in without one); ``difficulty``;
+    ``seed`` (None for a scene that was handed in without one); ``difficulty``; ``family``;
     DoubleSidedPlacement: ``side``, "left" or "right" where the object was placed, otherwise "";
     with the dense reward also ``previous_achieved_goal``.
 
@@ -90,6 +97,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         camera: entries of `smp_gym.world.Camera` that shall differ from the default.
         control: "joint_velocity" or "end_effector", what actions mean. It stands in the
             observation: planner policies act in joint velocities, and refuse the other mode.
+        family: of the scenes, one of `smp_gym.scene.FAMILIES`: single obstacles, or a kind of
+            furniture in the tasks `smp_gym.scene.FURNISHED_TASKS`. Furniture has no difficulty.
 
     Raises:
         ValueError: an argument is not one of those allowed.
@@ -111,19 +120,23 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         height: int = 360,
         camera: Mapping[str, Any] | None = None,
         control: Control = "joint_velocity",
+        family: str = FAMILIES[0],
     ) -> None:
         EzPickle.__init__(
-            self, task, difficulty, reward, render_mode, width, height, camera, control
+            self, task, difficulty, reward, render_mode, width, height, camera, control, family
         )
         self.task = make_task(task)
         _check_choice("difficulty", difficulty, DIFFICULTIES)
         _check_choice("reward", reward, ("sparse", "dense"))
         _check_choice("control", control, CONTROLS)
+        allowed = FAMILIES if task in FURNISHED_TASKS else FAMILIES[:1]
+        _check_choice(f"family of {task}", family, allowed)
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         for name, value in (("width", width), ("height", height)):
             if not (isinstance(value, int) and value > 0):
                 raise ValueError(f"{name} must be a positive number of pixels, got {value!r}")
         self.difficulty = difficulty
+        self.family = family
         self.reward = reward
         self.control = control
         self.render_mode = render_mode
@@ -342,7 +355,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             return scene
         if seed is None:
             seed = int(self.np_random.integers(EVALUATION_SEEDS_START))
-        return sample_scene(self.task.name, self.difficulty, seed)
+        return sample_of_family(self.task.name, self.family, self.difficulty, seed)
 
     def _observe(self) -> Observation:
         cell = self._cell
@@ -359,6 +372,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             "failure": self._failure,
             "seed": self.scene.seed,
             "difficulty": self.scene.difficulty,
+            "family": self.scene.family,
             **self.task.details(self._achieved, self._desired),
         }
 

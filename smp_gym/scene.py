@@ -28,6 +28,8 @@ __all__ = [
     "BIN_WALL_THICKNESS",
     "DIFFICULTIES",
     "EVALUATION_SEEDS_START",
+    "FAMILIES",
+    "FURNISHED_TASKS",
     "MAX_OBSTACLES",
     "PAD_DEPTH",
     "PAD_HALF_WIDTH",
@@ -49,6 +51,12 @@ TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
 """Difficulties, with 0 / 2 / 4 / 6 obstacles on the way to a goal."""
+
+FAMILIES = ("obstacles", "shelf", "box", "cage", "table")
+"""Families of scenes: single obstacles, as many as the difficulty says, or a kind of furniture."""
+
+FURNISHED_TASKS = ("Placement", "DoubleSidedPlacement")
+"""Tasks of which there are scenes with furniture."""
 
 SHAPES = ("box", "cylinder", "sphere")
 """Obstacle shapes, in the order of the one-hot code of an observation row."""
@@ -201,7 +209,9 @@ class Scene(_Frozen):
     Attributes:
         task: name of the task, one of `TASKS`.
         version: version of the task's scene distribution; part of what determines the scene.
-        difficulty: one of `DIFFICULTIES`, or "custom" for a scene made by hand.
+        family: one of `FAMILIES`.
+        difficulty: one of `DIFFICULTIES`, or "custom" for a scene that has none: with furniture, or
+            made by hand.
         seed: the seed it was drawn from, or None for a scene made by hand.
         start: joint angles at the start of the episode, rad.
         manipulated: the object, or None in tasks without one.
@@ -211,6 +221,7 @@ class Scene(_Frozen):
 
     task: str
     version: int = 0
+    family: Literal["obstacles", "shelf", "box", "cage", "table"] = "obstacles"
     difficulty: Literal["none", "easy", "medium", "hard", "custom"] = "custom"
     seed: int | None = Field(default=None, ge=0)
     start: Configuration

@@ -12,9 +12,16 @@ A scene is drawn in four steps:
 4. That member, checked densely against table, bin, itself, joint and velocity limits, is the
    witness: it solves the scene.
 
+Scenes with furniture (`smp_gym.sampling.furnished`) are drawn with the same families and witnesses.
+
 No planner and no physics engine takes part. The witness is not part of the scene.
 """
 
+from smp_gym.sampling.furnished import (
+    sample_furniture,
+    sample_furniture_with_witness,
+    sample_of_family,
+)
 from smp_gym.sampling.scenes import sample_scene, sample_with_witness
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.unwitnessed import place_without_witness
@@ -23,6 +30,9 @@ __all__ = [
     "SPECIFICATIONS",
     "DifficultySpecification",
     "place_without_witness",
+    "sample_furniture",
+    "sample_furniture_with_witness",
+    "sample_of_family",
     "sample_scene",
     "sample_with_witness",
 ]

@@ -39,6 +39,14 @@ _Difficulty = Annotated[
     str, typer.Option(help="How many obstacles on each way: none 0, easy 2, medium 4, hard 6.")
 ]
 
+_Family = Annotated[
+    str,
+    typer.Option(
+        help="Of the scenes: obstacles, or a kind of furniture, which has no difficulty: shelf, "
+        "box, cage, table (Placement and DoubleSidedPlacement)."
+    ),
+]
+
 
 def _console(error: bool = False) -> Console:
     return Console(stderr=error, highlight=False)
@@ -55,14 +63,15 @@ def _names(text: str) -> tuple[str, ...]:
 
 @app.command("list")
 def list_command() -> None:
-    """List the tasks, methods and difficulties that `run` knows."""
-    from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
+    """List the tasks, methods, difficulties and families that `run` knows."""
+    from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, FAMILIES, TASKS
     from smp_planner.planners import PLANNERS
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_row("[bold]tasks[/]", ", ".join(TASKS))
     table.add_row("[bold]methods[/]", ", ".join(PLANNERS))
     table.add_row("[bold]difficulties[/]", ", ".join(DIFFICULTIES))
+    table.add_row("[bold]families[/]", ", ".join(FAMILIES))
     table.add_row(
         "[bold]seeds[/]",
         f"tuning 0–{EVALUATION_SEEDS_START - 1}, evaluation {EVALUATION_SEEDS_START} and up",
@@ -89,6 +98,7 @@ def run(
         ),
     ] = None,
     difficulty: _Difficulty = "medium",
+    family: _Family = "obstacles",
     frozen: Annotated[
         bool,
         typer.Option(
@@ -138,7 +148,13 @@ def run(
     first = seed if seed is not None else 0 if frozen else _FIRST_SEED
     try:
         manifest = make_manifest(
-            _names(tasks), _names(methods), difficulty, first, episodes, frozen=frozen
+            _names(tasks),
+            _names(methods),
+            difficulty,
+            first,
+            episodes,
+            frozen=frozen,
+            family=family,
         )
     except ValueError as error:
         raise _fail(str(error), 2) from error
@@ -179,7 +195,7 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
 def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     """Write rows and summary, and show the summary."""
     from smp_gym.frozen import load_episodes
-    from smp_gym.sampling import sample_scene
+    from smp_gym.sampling import sample_of_family
     from smp_planner.benchmark.map_accuracy import measure_default_map
     from smp_planner.benchmark.report import summarise, table
     from smp_planner.benchmark.store import write_csv, write_json
@@ -190,7 +206,11 @@ def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
         scenes = [episode.scene for episodes in lists for episode in episodes]
     else:
         seeds = range(manifest.seed, manifest.seed + count)
-        scenes = [sample_scene(t, manifest.difficulty, s) for t in manifest.tasks for s in seeds]
+        scenes = [
+            sample_of_family(task, manifest.family, manifest.difficulty, seed)
+            for task in manifest.tasks
+            for seed in seeds
+        ]
     summary = summarise(manifest, rows, measure_default_map(scenes))
     write_csv(out / "episodes.csv", rows)
     write_json(out / "summary.json", summary)
@@ -243,6 +263,7 @@ def draw(
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
     method: Annotated[str, typer.Option(help="Name of the method.")] = "smp",
     difficulty: _Difficulty = "medium",
+    family: _Family = "obstacles",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 100_000,
     figure: Annotated[bool, typer.Option(help="Draw scene and particles.")] = True,
     video: Annotated[bool, typer.Option(help="Film the episode.")] = True,
@@ -254,7 +275,7 @@ def draw(
     from smp_planner.benchmark.runner import make_manifest
 
     try:
-        manifest = make_manifest((task,), (method,), difficulty, seed, 1)
+        manifest = make_manifest((task,), (method,), difficulty, seed, 1, family=family)
     except ValueError as error:
         raise _fail(str(error), 2) from error
     _draw(manifest, out, 1, figure, video)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.frozen import load_episodes
 from smp_gym.observation import DecodedObservation, decode
-from smp_gym.scene import Scene
+from smp_gym.scene import FAMILIES, Scene
 from smp_planner.policy import PlannerPolicy
 from smp_planner.problem import Plan
 
@@ -26,6 +26,7 @@ __all__ = [
     "EpisodeRow",
     "Rollout",
     "environment_id",
+    "kind_of_scene",
     "play",
     "roll_out",
 ]
@@ -45,6 +46,7 @@ class EpisodeKey:
         seed: with which the environment is reset; equal seeds are equal scenes for every method.
         half: of the frozen list that the episode is from, one of `smp_gym.frozen.HALVES`; its seed
             then names it there. Empty for an episode that is drawn from its seed.
+        family: of the scene, one of `smp_gym.scene.FAMILIES`; furniture disregards the difficulty.
     """
 
     task: str
@@ -52,6 +54,7 @@ class EpisodeKey:
     difficulty: str
     seed: int
     half: str = ""
+    family: str = FAMILIES[0]
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ class EpisodeRow:
             the environment does not tell distances above 0.05 apart.
         steps: environment steps.
         half: of the frozen list, see `EpisodeKey`.
+        family: of the scene, see `EpisodeKey`.
         share_collision_free: share of the particles that are collision-free on the exact map.
         share_executable: share within the joint limits and the planner's limit of duration.
         share_good: share that are both.
@@ -104,6 +108,7 @@ class EpisodeRow:
     clearance: float
     steps: int
     half: str = ""
+    family: str = FAMILIES[0]
     share_collision_free: float | None = None
     share_executable: float | None = None
     share_good: float | None = None
@@ -120,7 +125,9 @@ class EpisodeRow:
     @property
     def key(self) -> EpisodeKey:
         """Which episode this is."""
-        return EpisodeKey(self.task, self.method, self.difficulty, self.seed, self.half)
+        return EpisodeKey(
+            self.task, self.method, self.difficulty, self.seed, self.half, self.family
+        )
 
 
 class EpisodePlayer(Protocol):
@@ -149,6 +156,11 @@ class Rollout:
     plan: Plan
     object_path: NDArray[np.float64]
     frames: tuple[NDArray[np.uint8], ...]
+
+
+def kind_of_scene(difficulty: str, family: str) -> str:
+    """Return what to call the scenes of a difficulty and a family: furniture has no difficulty."""
+    return f"difficulty {difficulty}" if family == FAMILIES[0] else f"furniture: {family}"
 
 
 def environment_id(task: str) -> str:
@@ -198,7 +210,7 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
 
     Args:
         key: names the episode.
-        env: an environment of the key's task and difficulty; renders if made to.
+        env: an environment of the key's task, difficulty and family; renders if made to.
         policy: acts.
     """
     rendering = env.render_mode == "rgb_array"
@@ -240,6 +252,7 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
         clearance=float(info["clearance"]),
         steps=steps,
         half=key.half,
+        family=key.family,
         episode_time=elapsed,
         **_of_plan(plan),
     )
@@ -247,9 +260,11 @@ def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> 
 
 
 @lru_cache(maxsize=16)
-def _ready(task: str, method: str, difficulty: str) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
+def _ready(
+    task: str, method: str, difficulty: str, family: str
+) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
     """Return environment and policy of this process, after one unrecorded plan."""
-    env = gym.make(environment_id(task), difficulty=difficulty)
+    env = gym.make(environment_id(task), difficulty=difficulty, family=family)
     policy = PlannerPolicy.make(method, task)
     observation, _ = env.reset(seed=WARM_UP_SEED)
     policy.predict(observation, deterministic=True)
@@ -258,5 +273,5 @@ def _ready(task: str, method: str, difficulty: str) -> tuple[gym.Env[Any, Any], 
 
 def play(key: EpisodeKey) -> EpisodeRow:
     """Play one episode and return its row; environment and policy are made once per process."""
-    env, policy = _ready(key.task, key.method, key.difficulty)
+    env, policy = _ready(key.task, key.method, key.difficulty, key.family)
     return roll_out(key, env, policy).row

@@ -22,7 +22,13 @@ from smp_gym.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_tr
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.scene import Obstacle, Scene, fixtures
 from smp_planner.benchmark.drawing import Camera, Painter, body_faces
-from smp_planner.benchmark.episodes import EpisodeKey, Rollout, environment_id, roll_out
+from smp_planner.benchmark.episodes import (
+    EpisodeKey,
+    Rollout,
+    environment_id,
+    kind_of_scene,
+    roll_out,
+)
 from smp_planner.policy import PlannerPolicy
 
 __all__ = ["draw_episode", "object_paths", "scene_figure", "write_video"]
@@ -196,12 +202,13 @@ def scene_figure(rollout: Rollout, path: Path) -> None:
         frameon=False,
         fontsize=9.5,
     )
+    kind = kind_of_scene(row.difficulty, row.family)
     outcome = "success" if row.success else f"failed: {row.cause}"
     figure.text(0.02, 0.94, f"{row.task}, {row.method}", fontsize=15, weight="bold")
     figure.text(
         0.02,
         0.905,
-        f"difficulty {row.difficulty}, {row.half} seed {row.seed}: {outcome}".replace("  ", " "),
+        f"{kind}, {row.half} seed {row.seed}: {outcome}".replace("  ", " "),
         fontsize=10,
         color=_DEMONSTRATION,
     )
@@ -243,6 +250,7 @@ def draw_episode(key: EpisodeKey, folder: Path, figure: bool, video: bool) -> li
     env = gym.make(
         environment_id(key.task),
         difficulty=key.difficulty,
+        family=key.family,
         render_mode="rgb_array" if video else None,
     )
     try:

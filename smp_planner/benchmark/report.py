@@ -14,7 +14,7 @@ from rich.table import Table
 from scipy import stats
 
 from smp_gym.frozen import HALVES
-from smp_planner.benchmark.episodes import EpisodeRow
+from smp_planner.benchmark.episodes import EpisodeRow, kind_of_scene
 from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.store import Manifest
 
@@ -131,6 +131,7 @@ def summarise(
                 }
     return {
         "difficulty": manifest.difficulty,
+        "family": manifest.family,
         "seed": manifest.seed,
         "episodes": manifest.episodes,
         "frozen": manifest.frozen,
@@ -160,6 +161,7 @@ def table(summary: Mapping[str, Any]) -> Table:
     """Return the summary as a table: one column per method and task, one line per quantity."""
     first, last = summary["seed"], summary["seed"] + summary["episodes"] - 1
     origin = "frozen list" if summary["frozen"] else f"seeds {first}–{last}"
+    kind = kind_of_scene(summary["difficulty"], summary["family"])
     caption = f"{summary['confidence']:.0%} intervals: Wilson for rates, bootstrap for means"
     if accuracy := summary["map"]:
         caption += (
@@ -167,7 +169,7 @@ def table(summary: Mapping[str, Any]) -> Table:
             f"{accuracy['outside_occupied']:.2%} of points 2–6 cm outside"
         )
     result = Table(
-        title=f"difficulty {summary['difficulty']}, {origin}",
+        title=f"{kind}, {origin}",
         caption=caption,
         title_justify="left",
         caption_justify="left",

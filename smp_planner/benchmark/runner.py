@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from smp_gym.frozen import load_episodes
-from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_gym.scene import DIFFICULTIES, FAMILIES, FURNISHED_TASKS, TASKS
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodePlayer, EpisodeRow, play
 from smp_planner.benchmark.store import EpisodeStore, Manifest, code_digest, versions
 from smp_planner.planners import PLANNERS
@@ -52,10 +52,12 @@ def make_manifest(
     episodes: int,
     *,
     frozen: bool = False,
+    family: str = FAMILIES[0],
 ) -> Manifest:
     """Return the manifest of a run with the versions that are installed.
 
-    With `frozen` the episodes are the first ones of the frozen lists, and `seed` must be 0.
+    With `frozen` the episodes are the first ones of the frozen lists, and `seed` must be 0. A
+    `family` of furniture needs tasks that have it, and is in no frozen list.
 
     Raises:
         ValueError: a name that does not exist or is given twice, or a number out of range; the
@@ -69,6 +71,15 @@ def make_manifest(
             raise ValueError(f"name each {kind} once and at least one, got {', '.join(names)!r}")
     if difficulty not in DIFFICULTIES:
         raise ValueError(f"unknown difficulty {difficulty!r}; there are: {', '.join(DIFFICULTIES)}")
+    if family not in FAMILIES:
+        raise ValueError(f"unknown family {family!r}; there are: {', '.join(FAMILIES)}")
+    if family != FAMILIES[0]:
+        bare = [task for task in tasks if task not in FURNISHED_TASKS]
+        if bare or frozen:
+            raise ValueError(
+                f"family {family!r} needs tasks out of {', '.join(FURNISHED_TASKS)} and is not "
+                f"frozen, got {bare[0] if bare else 'frozen'}"
+            )
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if seed < 0:
@@ -80,7 +91,15 @@ def make_manifest(
         if episodes > least:
             raise ValueError(f"the frozen lists hold {least} episodes, got episodes {episodes}")
     return Manifest(
-        tuple(tasks), tuple(methods), difficulty, seed, episodes, versions(), code_digest(), frozen
+        tuple(tasks),
+        tuple(methods),
+        difficulty,
+        seed,
+        episodes,
+        versions(),
+        code_digest(),
+        frozen,
+        family,
     )
 
 

@@ -22,6 +22,7 @@ from types import TracebackType
 from typing import Any
 
 from smp_gym.frozen import load_episodes
+from smp_gym.scene import FAMILIES
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 
 __all__ = [
@@ -66,6 +67,7 @@ class Manifest:
         code: digest of the source and data files of this project.
         frozen: whether the episodes are the first of the frozen lists, instead of being drawn from
             seeds; `seed` is then 0.
+        family: of all scenes.
     """
 
     tasks: tuple[str, ...]
@@ -76,6 +78,7 @@ class Manifest:
     versions: Mapping[str, str]
     code: str
     frozen: bool = False
+    family: str = FAMILIES[0]
 
     def _names(self, task: str) -> list[tuple[int, str]]:
         """Return seed and half of the episodes of a task."""
@@ -88,9 +91,9 @@ class Manifest:
         """Return all episodes, in the order in which they are played: one of each in turn."""
         names = [self._names(task) for task in self.tasks]
         return [
-            EpisodeKey(task, method, self.difficulty, *name)
+            EpisodeKey(task, method, self.difficulty, seed, half, self.family)
             for together in zip(*names, strict=True)
-            for task, name in zip(self.tasks, together, strict=True)
+            for task, (seed, half) in zip(self.tasks, together, strict=True)
             for method in self.methods
         ]
 
@@ -189,7 +192,7 @@ def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
 
 def _differences(there: Manifest, here: Manifest) -> list[str]:
     lines = []
-    for name in ("tasks", "methods", "difficulty", "seed", "frozen", "code"):
+    for name in ("tasks", "methods", "difficulty", "family", "seed", "frozen", "code"):
         old, new = getattr(there, name), getattr(here, name)
         if old != new:
             lines.append(f"{name}: {old!r} there, {new!r} now")

@@ -53,6 +53,7 @@ def fake_play(key: EpisodeKey) -> EpisodeRow:
         clearance=0.02,
         steps=int(draw.integers(100, 400)),
         half=key.half,
+        family=key.family,
         share_collision_free=float(draw.random()),
         planning_time=time.perf_counter() % 1.0,
         episode_time=0.1,
@@ -146,6 +147,31 @@ def test_frozen_lists_that_do_not_exist_are_refused(
         runner.make_manifest(["Placement"], ["smp"], difficulty, seed, episodes, frozen=True)
 
 
+def test_a_family_is_in_every_key_and_in_the_title() -> None:
+    made = runner.make_manifest(["Placement"], ["smp"], "medium", 0, 2, family="shelf")
+    assert [(key.family, key.seed) for key in made.episode_keys()] == [("shelf", 0), ("shelf", 1)]
+    rows = [fake_play(key) for key in made.episode_keys()]
+    assert [row.key for row in rows] == made.episode_keys()
+    assert table(summarise(made, rows)).title == "furniture: shelf, seeds 0–1"
+    plain = runner.make_manifest(["Placement"], ["smp"], "medium", 0, 2)
+    assert not set(plain.episode_keys()) & set(made.episode_keys())
+
+
+@pytest.mark.parametrize(
+    ("tasks", "family", "frozen", "message"),
+    [
+        (["Placement"], "sofa", False, "unknown family 'sofa'; there are: obstacles, shelf"),
+        (["Placement", "DrawS"], "cage", False, "needs tasks out of Placement, .* got DrawS"),
+        (["Placement"], "cage", True, "is not frozen, got frozen"),
+    ],
+)
+def test_families_that_cannot_be_played_are_refused(
+    tasks: list[str], family: str, frozen: bool, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        runner.make_manifest(tasks, ["smp"], "easy", 0, 1, frozen=frozen, family=family)
+
+
 # What is stored
 
 
@@ -197,6 +223,7 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"difficulty": "hard"}, "difficulty: 'medium' there, 'hard' now"),
+        ({"family": "cage"}, "family: 'obstacles' there, 'cage' now"),
         ({"seed": 1}, "seed: 0 there, 1 now"),
         ({"methods": ("smp",)}, "methods"),
         ({"versions": {"numpy": "3"}}, "version of numpy: 2 there, 3 now"),
@@ -438,6 +465,7 @@ def test_list_names_what_exists() -> None:
         (["--tasks", "Chess"], "there are: Placement"),
         (["--methods", "smp,spm"], "there are: smp, promp"),
         (["--difficulty", "huge"], "there are: none, easy, medium, hard"),
+        (["--family", "sofa"], "there are: obstacles, shelf, box, cage, table"),
         (["--episodes", "0"], "--episodes"),
         (["--frozen", "--seed", "7"], "seed must be 0, got 7"),
         (["--frozen", "--difficulty", "none"], "no frozen list"),
