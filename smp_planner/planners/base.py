@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import UnreachableError, inverse_kinematics
+from smp_gym.kinematics import UnreachableError
 from smp_planner.movement_primitives import (
     ProMP,
     ProMPMixture,
@@ -25,6 +25,7 @@ from smp_planner.movement_primitives import (
 )
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planners.judging import choose, goal_distance, missed_via_points
+from smp_planner.planners.postures import pose_chain
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
 from smp_planner.verification import Verification, check_collisions, verify
@@ -221,21 +222,17 @@ def _tie(
 def _through_poses(primitive: ProMP, problem: Problem) -> ProMP:
     """Return the primitive conditioned on the via-poses of a problem.
 
-    A pose leaves an arm of six joints no freedom but the choice of a branch: the configuration
-    nearest to what the primitive expects is taken.
-
     Raises:
         UnreachableError: a via-pose is out of reach.
     """
+    if not problem.via_poses:
+        return primitive
     rest = torch.zeros(primitive.dimension, dtype=torch.float64)
     spread = VIA_POSE_STD**2 * torch.eye(primitive.dimension, dtype=torch.float64)
-    near: FloatArray | None = None
-    # The last one first: the arm is stretched there, and away from its joint limits.
-    for via in reversed(problem.via_poses):
-        if near is None:
-            near = primitive.marginal(via.phase)[0].numpy()
-        near = inverse_kinematics(via.pose[:3, 3], via.pose[:3, :3], seed=near)
-        primitive = primitive.condition(via.phase, torch.from_numpy(near), spread)
+    expected = primitive.marginal(problem.via_poses[-1].phase)[0].numpy()
+    chain = pose_chain(problem.via_poses, expected)
+    for via, configuration in zip(problem.via_poses, chain, strict=True):
+        primitive = primitive.condition(via.phase, torch.from_numpy(configuration), spread)
         if via.rest:
             primitive = primitive.condition(via.phase, rest, derivative=True)
     return primitive
@@ -356,7 +353,7 @@ class PlannerModel(ABC):
             if count
         ]
 
-    def judge(
+    def plan_of(
         self,
         problem: Problem,
         robot: RobotModel,
@@ -364,7 +361,7 @@ class PlannerModel(ABC):
         costs: dict[str, FloatArray],
         stopwatch: Stopwatch,
     ) -> Plan:
-        """Return the plan that particles amount to: verified, and the best of them chosen.
+        """Return the plan that particles of the primitive amount to.
 
         Args:
             problem: to be solved.
@@ -373,42 +370,66 @@ class PlannerModel(ABC):
             costs: what is known already of each particle, each (P,).
             stopwatch: its stages go into the plan.
         """
-        with stopwatch.stage("verification"):
-            weights = torch.cat([p.tied.primitive.unwhiten(p.latent) for p in particles])
-            primitive = particles[0].tied.primitive
-            trajectories = primitive.trajectory(weights, SAMPLES).numpy()
-            verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
-            executable = verdict.executable
-            goal_error = goal_distance(problem, robot, trajectories[:, -1])
-            prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
-            missed = missed_via_points(problem, robot, trajectories)
-            costs = {"prior": prior.numpy(), **costs}
-            passing = missed <= 0.0
-            good = verdict.collision_free & executable & passing
-            chosen = choose(verdict, goal_error, missed, costs)
-        message = ""
-        if not good.any():
-            message = (
-                "no particle is collision-free and executable: "
-                f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
-                f"{int(executable.sum())} executable; the least bad one is chosen"
-                if passing.all()
-                else "no particle is collision-free, executable and passes all via-points: "
-                f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
-                f"{int(executable.sum())} executable, {int(passing.sum())} pass; the least bad "
-                "one is chosen"
-            )
-        shape = (len(weights), primitive.basis.count, primitive.dimension)
+        primitive = particles[0].tied.primitive
+        weights = torch.cat([p.tied.primitive.unwhiten(p.latent) for p in particles])
+        prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
         components = None
         if len(self.mixture.components) > 1:
             components = np.repeat(
                 [p.component for p in particles], [len(p.latent) for p in particles]
             )
+        return self.judge(
+            problem,
+            robot,
+            primitive.trajectory(weights, SAMPLES).numpy(),
+            weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
+            {"prior": prior.numpy(), **costs},
+            stopwatch,
+            components=components,
+        )
+
+    def judge(
+        self,
+        problem: Problem,
+        robot: RobotModel,
+        trajectories: FloatArray,
+        weights: FloatArray,
+        costs: dict[str, FloatArray],
+        stopwatch: Stopwatch,
+        *,
+        components: NDArray[np.int64] | None = None,
+        reason: str = "no particle is good",
+    ) -> Plan:
+        """Return the plan that trajectories amount to: verified, and the best of them chosen.
+
+        Args:
+            problem: to be solved.
+            robot: arm with all that it carries.
+            trajectories: (P, T, D) rad.
+            weights: (P, K, D) of the primitive.
+            costs: what is known already of each particle, each (P,), `prior` among them.
+            stopwatch: its stages go into the plan.
+            components: (P,), see `Plan`.
+            reason: what the plan's message begins with if no particle is good.
+        """
+        with stopwatch.stage("verification"):
+            verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
+            goal_error = goal_distance(problem, robot, trajectories[:, -1])
+            missed = missed_via_points(problem, robot, trajectories)
+            chosen = choose(verdict, goal_error, missed, costs)
+        free, executable, passing = verdict.collision_free, verdict.executable, missed <= 0.0
+        message = ""
+        if not (free & executable & passing).any():
+            message = (
+                f"{reason}: of {len(free)} particles {int(free.sum())} are collision-free, "
+                f"{int(executable.sum())} executable, {int(passing.sum())} pass all via-points; "
+                "the least bad one is chosen"
+            )
         return Plan(
-            weights=weights.numpy().reshape(shape),
+            weights=weights,
             trajectories=trajectories,
             costs=costs,
-            collision_free=verdict.collision_free,
+            collision_free=free,
             clearance=verdict.clearance,
             goal_error=goal_error,
             duration=verdict.duration,
