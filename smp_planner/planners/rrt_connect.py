@@ -30,10 +30,9 @@ from smp_planner.planners.base import (
 )
 from smp_planner.planners.judging import missed_via_points
 from smp_planner.planners.postures import pose_chain, reaching
-from smp_planner.problem import GoalRegion, Plan, Problem, ViaPoint
+from smp_planner.problem import GoalRegion, Plan, Problem, ViaPoint, ViaPose
 from smp_planner.robot_model import RobotModel
 from smp_planner.shortcutting import (
-    minimum_jerk,
     path_length,
     shortcut,
     smooth,
@@ -256,7 +255,7 @@ class _Search:
         return np.concatenate(
             [
                 _timed(there, before + 1, approach, limit * first)[:-1],
-                _followed(chain, after - before + 1)[:-1],
+                _followed(chain, problem.via_poses, after - before + 1)[:-1],
                 _timed(away, SAMPLES - after, carry, limit * (1.0 - last)),
             ]
         )
@@ -272,11 +271,11 @@ def _lifted(configuration: FloatArray) -> FloatArray | None:
         return None
 
 
-def _followed(chain: FloatArray, samples: int) -> FloatArray:
-    """Return a smooth trajectory (T,6) rad from rest to rest that follows a chain (H,6) closely."""
-    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
-    at = minimum_jerk(np.linspace(0.0, 1.0, samples)) * arc[-1]
-    return np.asarray(CubicSpline(arc, chain)(at))
+def _followed(chain: FloatArray, via_poses: Sequence[ViaPose], samples: int) -> FloatArray:
+    """Return a trajectory (T,6) rad, from rest to rest, with a chain (H,6) at its via-poses."""
+    due = np.array([via.phase for via in via_poses])
+    spline = CubicSpline(due, chain, bc_type="clamped")
+    return np.asarray(spline(np.linspace(due[0], due[-1], samples)))
 
 
 class RRTConnectPlanner(PlannerModel):
