@@ -14,7 +14,7 @@ __all__ = ["way_through"]
 
 FloatArray = NDArray[np.float64]
 
-_PREDECESSORS = 8
+_PREDECESSORS = 4
 """From so many configurations of a layer, at most, a straight edge to each of the next is tried."""
 
 _ROOTS = 4
