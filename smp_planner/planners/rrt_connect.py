@@ -25,11 +25,11 @@ from smp_planner.planners.base import (
     PlannerModel,
     PlannerSettings,
     Stopwatch,
-    TiedPrimitive,
     jaco_with,
 )
 from smp_planner.planners.judging import missed_via_points
 from smp_planner.planners.postures import pose_chain, reaching
+from smp_planner.planners.tying import TiedPrimitive
 from smp_planner.problem import GoalRegion, Plan, Problem, ViaPoint, ViaPose
 from smp_planner.robot_model import RobotModel
 from smp_planner.shortcutting import (

@@ -38,9 +38,9 @@ from smp_planner.planners.base import (
     PlannerModel,
     PlannerSettings,
     Stopwatch,
-    TiedPrimitive,
     jaco_with,
 )
+from smp_planner.planners.tying import TiedPrimitive
 from smp_planner.problem import Plan, Problem, Stage
 from smp_planner.robot_model import RobotModel, jaco_of_spheres
 
