@@ -19,11 +19,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.kinematics import concatenate
 from smp_gym.scene import Obstacle
 from smp_planner.compiled import FAST, chain, place, sine_cosine
 from smp_planner.occupancy.analytic import PackedObstacles, point_distance
-from smp_planner.robot_model import RobotModel
-from smp_planner.verification import TOLERANCE, levers, self_gap_of
+from smp_planner.problem import Stage
+from smp_planner.robot_model import RobotArrays, RobotModel, jaco_of_spheres
+from smp_planner.verification import TOLERANCE, self_gap_of
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
 
@@ -38,17 +40,9 @@ class World(NamedTuple):
     """Robot, obstacles and the distance to keep, as arrays for compiled loops.
 
     Attributes:
-        base: (4,4) pose of link 0.
-        origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero.
-        link: (S,) link of each sphere; those on link 0 are not checked against obstacles.
-        center: (S,3) m in the link's frame.
-        radius: (S,) m.
-        lever: (S,n) m, no sphere is ever farther from the axis of a joint.
-        groups: (G,3), as in `LinkPairs`, like the next four.
-        sizes: (G,).
-        pairs: (M,2).
-        ball_center: (n+1,3) m.
-        ball_radius: (n+1,) m.
+        robot: see `RobotArrays`.
+        parts: (K,4), each the first sphere, the one after the last, and likewise for the obstacles
+            that these spheres must stay clear of.
         shape: (N,), as in `PackedObstacles`, like the next four.
         rotation: (N,3,3).
         position: (N,3) m.
@@ -57,17 +51,8 @@ class World(NamedTuple):
         margin: m, least distance to obstacles.
     """
 
-    base: FloatArray
-    origins: FloatArray
-    link: IntArray
-    center: FloatArray
-    radius: FloatArray
-    lever: FloatArray
-    groups: IntArray
-    sizes: IntArray
-    pairs: IntArray
-    ball_center: FloatArray
-    ball_radius: FloatArray
+    robot: RobotArrays
+    parts: IntArray
     shape: IntArray
     rotation: FloatArray
     position: FloatArray
@@ -97,7 +82,7 @@ class Scratch(NamedTuple):
 @njit(cache=True, nogil=True)
 def new_scratch(world):
     """Return the `Scratch` for a `World`."""
-    joints, spheres = world.origins.shape[0], world.link.shape[0]
+    joints, spheres = world.robot.origins.shape[0], world.robot.link.shape[0]
     return Scratch(
         np.empty((joints, 1)),
         np.empty((joints, 1)),
@@ -122,47 +107,42 @@ def _measure(world, scratch, row):
     A gap wider than the sphere's way along the whole edge settles the edge for that sphere: it is
     kept and not measured again.
     """
+    robot = world.robot
     sine_cosine(scratch.angles.ravel(), scratch.sine.ravel(), scratch.cosine.ravel())
     chain(
         scratch.sine,
         scratch.cosine,
-        world.base,
-        world.origins,
+        robot.base,
+        robot.origins,
         scratch.rotation,
         scratch.position,
     )
     placed = scratch.placed
-    place(scratch.rotation, scratch.position, world.link, world.center, placed)
+    place(scratch.rotation, scratch.position, robot.link, robot.center, placed)
     least_allowed = world.margin + TOLERANCE
-    # The hand leads: what it carries collides first.
-    for s in range(world.link.shape[0] - 1, -1, -1):
-        if world.link[s] == 0:
-            scratch.gap[row, s] = np.inf
-            continue
-        x, y, z = placed[s, 0, 0], placed[s, 1, 0], placed[s, 2, 0]
-        gap = scratch.measured[s]
-        if gap < least_allowed + scratch.way[s]:
-            gap = (
-                point_distance(
-                    x, y, z, world.shape, world.rotation, world.position, world.size, world.bound
+    for part in range(world.parts.shape[0] - 1, -1, -1):
+        first, last = world.parts[part, 2], world.parts[part, 3]
+        shape, rotation = world.shape[first:last], world.rotation[first:last]
+        position, size = world.position[first:last], world.size[first:last]
+        bound = world.bound[first:last]
+        # The hand leads: what it carries collides first.
+        for s in range(world.parts[part, 1] - 1, world.parts[part, 0] - 1, -1):
+            if robot.link[s] == 0:
+                scratch.gap[row, s] = np.inf
+                continue
+            gap = scratch.measured[s]
+            if gap < least_allowed + scratch.way[s]:
+                x, y, z = placed[s, 0, 0], placed[s, 1, 0], placed[s, 2, 0]
+                gap = (
+                    point_distance(x, y, z, shape, rotation, position, size, bound)
+                    - robot.radius[s]
                 )
-                - world.radius[s]
-            )
-            if gap < least_allowed:
-                return False
-            scratch.measured[s] = gap
-        scratch.gap[row, s] = gap
-    place(scratch.rotation, scratch.position, scratch.links, world.ball_center, scratch.balls)
-    scratch.self_gap[row] = self_gap_of(
-        placed,
-        scratch.balls,
-        0,
-        world.radius,
-        world.groups,
-        world.sizes,
-        world.pairs,
-        world.ball_radius,
-    )
+                if gap < least_allowed:
+                    return False
+                scratch.measured[s] = gap
+            scratch.gap[row, s] = gap
+    place(scratch.rotation, scratch.position, scratch.links, robot.ball_center, scratch.balls)
+    scratch.self_gap[row] = self_gap_of(placed, scratch.balls, 0, robot)
     return scratch.self_gap[row] >= 2.0 * TOLERANCE
 
 
@@ -173,13 +153,13 @@ def edge_is_free(world, scratch, start, end):
     Free is what keeps `world.margin` to all obstacles and `TOLERANCE` to itself all along. An edge
     that keeps less than `TOLERANCE` more than that may be refused.
     """
-    joints, spheres = start.shape[0], world.link.shape[0]
+    joints, spheres = start.shape[0], world.robot.link.shape[0]
     way, at, gap, self_gap = scratch.way, scratch.at, scratch.gap, scratch.self_gap
     longest = 0.0
     for s in range(spheres):
         way[s] = 0.0
         for j in range(joints):
-            way[s] += abs(end[j] - start[j]) * world.lever[s, j]
+            way[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
         longest = max(longest, way[s])
         scratch.measured[s] = -np.inf
     # Row 0 is the configuration up to which the edge is settled; above it those still ahead.
@@ -233,6 +213,8 @@ class EdgeChecker:
         obstacles: bodies at rest.
         margin: m, distance to keep to obstacles; at least `TOLERANCE`, so that what is free here is
             free for `smp_planner.verification` too.
+        parts: (K,4), which spheres must stay clear of which obstacles, as in `World`; by default
+            all of all.
 
     Raises:
         ValueError: `margin` is less than `TOLERANCE` or not finite.
@@ -243,30 +225,37 @@ class EdgeChecker:
         robot: RobotModel,
         obstacles: Sequence[Obstacle] | PackedObstacles,
         margin: float = TOLERANCE,
+        parts: ArrayLike | None = None,
     ) -> None:
         if not (math.isfinite(margin) and margin >= TOLERANCE):
             raise ValueError(f"margin must be finite and at least {TOLERANCE}, got {margin}")
         packed = (
             obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
         )
-        pairs = robot.link_pairs
+        table = [(0, len(robot.link), 0, len(packed))] if parts is None else parts
         self.robot = robot
-        # Read-only arrays are another type to the compiler: without the copies it would do its
-        # work anew for each kind of robot.
-        self.world = World(
-            robot.base.copy(),
-            robot.joint_origins.copy(),
-            robot.link,
-            robot.center,
-            robot.radius,
-            levers(robot),
-            pairs.groups,
-            pairs.sizes,
-            pairs.pairs,
-            pairs.ball_center,
-            pairs.ball_radius,
-            *packed.arrays,
+        self.world = World(robot.arrays, np.array(table, np.int64), *packed.arrays, margin)
+
+    @classmethod
+    def of_stages(cls, stages: Sequence[Stage], margin: float = TOLERANCE) -> EdgeChecker:
+        """Return the space that is free for all that moves in stages that overlap.
+
+        The spheres of each must stay clear of its own obstacles, and all of them of each other.
+
+        Args:
+            stages: at least one.
+            margin: see the class.
+
+        Raises:
+            ValueError: `margin` is less than `TOLERANCE` or not finite.
+        """
+        spheres = np.cumsum([0] + [len(stage.spheres) for stage in stages])
+        bodies = np.cumsum([0] + [len(stage.obstacles) for stage in stages])
+        return cls(
+            jaco_of_spheres(concatenate(*(stage.spheres for stage in stages))),
+            [body for stage in stages for body in stage.obstacles],
             margin,
+            np.column_stack([spheres[:-1], spheres[1:], bodies[:-1], bodies[1:]]),
         )
 
     def configurations_free(self, configurations: ArrayLike) -> NDArray[np.bool_]:

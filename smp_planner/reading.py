@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import (
@@ -42,17 +43,6 @@ LIFT_HALF_WIDTH = 0.01
 """Half width of the cube about the target in which the lifted object's centre ends, m."""
 
 
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    x, y, z, w = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalRegion:
     """Return where the object's centre may be when the hand opens over a bin or a pad.
 
@@ -76,7 +66,7 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
     once the hand has closed, it is carried, and may touch what it stands on.
     """
     size = decoded.object.size
-    turn = _rotation(decoded.object.quaternion)
+    turn = Rotation.from_quat(decoded.object.quaternion).as_matrix()
     yaw = float(np.arctan2(turn[1, 0], turn[0, 0]))
     frame = upright_pose(decoded.object.position, yaw)
     held = grasping.object_in_hand
@@ -178,7 +168,7 @@ def problem_from(
         return _grasping_problem(decoded, seed, grasping)
     hand = end_effector_pose(decoded.robot.configuration)
     object_pose = np.eye(4)
-    object_pose[:3, :3] = _rotation(decoded.object.quaternion)
+    object_pose[:3, :3] = Rotation.from_quat(decoded.object.quaternion).as_matrix()
     object_pose[:3, 3] = decoded.object.position
     held = np.linalg.inv(hand) @ object_pose
     attached = concatenate(

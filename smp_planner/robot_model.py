@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -14,14 +15,16 @@ from smp_gym import kinematics
 from smp_gym.kinematics import SphereSet
 from smp_planner import compiled
 
-__all__ = ["LinkPairs", "RobotModel", "jaco_model", "jaco_of_spheres"]
+__all__ = ["LinkPairs", "RobotArrays", "RobotModel", "jaco_model", "jaco_of_spheres"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
-    array = np.ascontiguousarray(value, np.float64)
+    # Read-only arrays are another type to the compiler: without the copies it would do its work
+    # anew for each kind of robot.
+    array = np.array(value, np.float64, order="C")
     if array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
@@ -44,6 +47,36 @@ class LinkPairs:
     pairs: IntArray
     groups: IntArray
     sizes: IntArray
+    ball_center: FloatArray
+    ball_radius: FloatArray
+
+
+class RobotArrays(NamedTuple):
+    """A robot as the compiled loops of the collision checks take it.
+
+    Attributes:
+        base: (4,4) pose of link 0.
+        origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero.
+        link: (S,) link of each sphere; those on link 0 are not checked against obstacles.
+        center: (S,3) m in the link's frame.
+        radius: (S,) m.
+        lever: (S,n) m, no sphere is ever farther from the axis of a joint.
+        groups: (G,3), as in `LinkPairs`, like the next four.
+        sizes: (G,).
+        pairs: (M,2).
+        ball_center: (n+1,3) m.
+        ball_radius: (n+1,) m.
+    """
+
+    base: FloatArray
+    origins: FloatArray
+    link: IntArray
+    center: FloatArray
+    radius: FloatArray
+    lever: FloatArray
+    groups: IntArray
+    sizes: IntArray
+    pairs: IntArray
     ball_center: FloatArray
     ball_radius: FloatArray
 
@@ -107,10 +140,15 @@ class RobotModel:
         """Number of joints n."""
         return len(self.joint_origins)
 
+    @property
+    def endless(self) -> NDArray[np.bool_]:
+        """(n,) which joints reach the same place in more than one way."""
+        return np.asarray(self.upper - self.lower > 2 * np.pi)
+
     @cached_property
     def link(self) -> IntArray:
         """(S,) link of each sphere."""
-        return np.ascontiguousarray(self.spheres.link, np.int64)
+        return np.array(self.spheres.link, np.int64)
 
     @cached_property
     def center(self) -> FloatArray:
@@ -149,6 +187,40 @@ class RobotModel:
             sizes=sizes.astype(np.int64),
             ball_center=ball_center,
             ball_radius=ball_radius,
+        )
+
+    @cached_property
+    def levers(self) -> FloatArray:
+        """(S,n) m: no sphere is ever farther from the axis of a joint; 0 if it is not moved.
+
+        By the triangle inequality, from the sphere inwards.
+        """
+        origins = self.joint_origins[:, :3, 3]
+        lever = np.zeros((len(self.link), self.joints))
+        for s, (link, center) in enumerate(zip(self.link, self.center, strict=True)):
+            beyond = 0.0
+            for joint in range(link - 1, -1, -1):
+                arm = center if joint == link - 1 else origins[joint + 1]
+                lever[s, joint] = math.hypot(arm[0], arm[1]) + beyond
+                beyond += float(np.linalg.norm(arm))
+        return lever
+
+    @cached_property
+    def arrays(self) -> RobotArrays:
+        """All that the compiled loops of the collision checks need."""
+        pairs = self.link_pairs
+        return RobotArrays(
+            self.base,
+            self.joint_origins,
+            self.link,
+            self.center,
+            self.radius,
+            self.levers,
+            pairs.groups,
+            pairs.sizes,
+            pairs.pairs,
+            pairs.ball_center,
+            pairs.ball_radius,
         )
 
     def carried(self, point: Any) -> FloatArray:

@@ -89,9 +89,11 @@ class Verification:
 
 
 @njit(cache=True, fastmath=FAST, nogil=True)
-def self_gap_of(placed, balls, step, radius, groups, sizes, pairs, ball_radius):
-    """Return the least gap between spheres of `pairs` at a step, m; at most the horizon."""
+def self_gap_of(placed, balls, step, robot):
+    """Return the least gap, m, between spheres of `robot.pairs` at a step; at most the horizon."""
     least = _SELF_HORIZON
+    groups, sizes, pairs = robot.groups, robot.sizes, robot.pairs
+    radius, ball_radius = robot.radius, robot.ball_radius
     for g in range(groups.shape[0]):
         i, j = groups[g, 0], groups[g, 1]
         dx = balls[i, 0, step] - balls[j, 0, step]
@@ -115,31 +117,24 @@ def self_gap_of(placed, balls, step, radius, groups, sizes, pairs, ball_radius):
 @njit(cache=True, fastmath=FAST, nogil=True)
 def _check(
     trajectories,
-    base,
-    origins,
-    link,
-    center,
-    radius,
-    lever,
-    groups,
-    sizes,
-    pairs,
-    ball_center,
-    ball_radius,
-    shape,
-    rotations,
-    positions,
-    size,
-    bound,
+    robot,
+    obstacles,
     tolerance,
     clearance,
     self_free,
 ):
-    """Write clearance (P,) and self_free (P,); see `check_collisions`.
+    """Write clearance (P,) and self_free (P,) of trajectories (P,n,T); see `check_collisions`.
 
-    `lever` (S,n) bounds the distance of a sphere from the axis of each joint.
+    `robot` is a `RobotArrays`, `obstacles` are the arrays of `PackedObstacles`.
     """
     count, joints, steps = trajectories.shape
+    base, origins, link, center, radius = (
+        robot.base,
+        robot.origins,
+        robot.link,
+        robot.center,
+        robot.radius,
+    )
     spheres = link.shape[0]
     sine = np.empty((joints, steps))
     cosine = np.empty((joints, steps))
@@ -167,7 +162,7 @@ def _check(
         sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
         chain(sine, cosine, base, origins, rotation, position)
         place(rotation, position, link, center, placed)
-        place(rotation, position, links, ball_center, balls)
+        place(rotation, position, links, robot.ball_center, balls)
         nearest = np.inf
         # All are to be measured at first.
         measured[:] = -np.inf
@@ -180,7 +175,7 @@ def _check(
                 way[s] = 0.0
                 for j in range(joints):
                     turn = trajectories[p, j, t] - trajectories[p, j, before]
-                    way[s] += abs(turn) * lever[s, j]
+                    way[s] += abs(turn) * robot.lever[s, j]
                 longest = max(longest, way[s])
             top = 1
             at[0] = 0.0
@@ -203,7 +198,13 @@ def _check(
                             position_between,
                         )
                         place(rotation_between, position_between, link, center, placed_between)
-                        place(rotation_between, position_between, links, ball_center, balls_between)
+                        place(
+                            rotation_between,
+                            position_between,
+                            links,
+                            robot.ball_center,
+                            balls_between,
+                        )
                         spheres_here, balls_here, step = placed_between, balls_between, 0
                     for s in range(spheres):
                         if link[s] == 0:
@@ -219,10 +220,7 @@ def _check(
                         # What is by a segment's way farther than the nearest settles the segment
                         # as it is; there is no need to measure it anew.
                         if least < nearest + way[s]:
-                            least = (
-                                point_distance(x, y, z, shape, rotations, positions, size, bound)
-                                - radius[s]
-                            )
+                            least = point_distance(x, y, z, *obstacles) - radius[s]
                             measured[s] = least
                             measured_at[s, 0] = x
                             measured_at[s, 1] = y
@@ -234,11 +232,7 @@ def _check(
                             spheres_here,
                             balls_here,
                             step,
-                            radius,
-                            groups,
-                            sizes,
-                            pairs,
-                            ball_radius,
+                            robot,
                         )
                         clear_of_itself = self_gap[top] >= tolerance
                     fresh = False
@@ -266,22 +260,6 @@ def _check(
         self_free[p] = clear_of_itself
 
 
-def levers(robot: RobotModel) -> FloatArray:
-    """Return (S,n) m: no sphere is ever farther from the axis of a joint; 0 if it is not moved.
-
-    By the triangle inequality, from the sphere inwards.
-    """
-    origins = robot.joint_origins[:, :3, 3]
-    lever = np.zeros((len(robot.link), robot.joints))
-    for s, (link, center) in enumerate(zip(robot.link, robot.center, strict=True)):
-        beyond = 0.0
-        for joint in range(link - 1, -1, -1):
-            arm = center if joint == link - 1 else origins[joint + 1]
-            lever[s, joint] = math.hypot(arm[0], arm[1]) + beyond
-            beyond += float(np.linalg.norm(arm))
-    return lever
-
-
 def check_collisions(
     trajectories: ArrayLike,
     robot: RobotModel,
@@ -307,22 +285,11 @@ def check_collisions(
     if not (math.isfinite(tolerance) and tolerance > 0.0):
         raise ValueError(f"tolerance must be positive, got {tolerance}")
     packed = obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
-    pairs = robot.link_pairs
     clearance, self_free = np.empty(len(q)), np.empty(len(q), np.bool_)
     _check(
         np.ascontiguousarray(q.swapaxes(1, 2)),
-        robot.base,
-        robot.joint_origins,
-        robot.link,
-        robot.center,
-        robot.radius,
-        levers(robot),
-        pairs.groups,
-        pairs.sizes,
-        pairs.pairs,
-        pairs.ball_center,
-        pairs.ball_radius,
-        *packed.arrays,
+        robot.arrays,
+        packed.arrays,
         tolerance,
         clearance,
         self_free,

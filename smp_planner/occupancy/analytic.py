@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from smp_gym.scene import SHAPES, Obstacle
 from smp_planner.occupancy.occupancy_map import TRUNCATION, window
@@ -87,13 +88,10 @@ class PackedObstacles:
 
 def _rotations_to_body(quaternion: FloatArray) -> FloatArray:
     """Return (N, 3, 3) rotations from base to body of (N, 4) quaternions x, y, z, w."""
-    x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
-        [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
-        [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows, np.float64), 2, 0))
+    if not len(quaternion):
+        return np.empty((0, 3, 3))
+    turns: FloatArray = Rotation.from_quat(quaternion).as_matrix()
+    return np.ascontiguousarray(turns.swapaxes(1, 2))
 
 
 @njit(cache=True, nogil=True)

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import UnreachableError, inverse_kinematics
+from smp_gym.kinematics import UnreachableError
 from smp_planner.movement_primitives import (
     ProMP,
     ProMPMixture,
@@ -25,33 +25,17 @@ from smp_planner.movement_primitives import (
 )
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planners.judging import choose, goal_distance, missed_via_points
+from smp_planner.planners.tying import TiedPrimitive, tie_primitive
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
 from smp_planner.verification import Verification, check_collisions, verify
 
-__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "TiedPrimitive"]
+__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch"]
 
 FloatArray = NDArray[np.float64]
 
 SAMPLES = 200
 """T of the trajectories in a plan, as in the demonstrations."""
-
-GOAL_STD = 0.005
-"""Standard deviation, m, with which the primitive is conditioned on the goal point."""
-
-POSTURE_STD = 0.1
-"""Standard deviation, rad, that the final posture keeps around the one found for the goal."""
-
-VIA_POSE_STD = 0.002
-"""Standard deviation, rad, with which the primitive is conditioned on a via-pose."""
-
-REACHED = 0.02
-"""Distance, m, from a goal region up to which a posture is taken to reach it."""
-
-VIA_STD = 0.02
-"""Standard deviation, m, with which the primitive is conditioned on via-points."""
-
-_VIA_ITERATIONS = 8
 
 
 class PlannerSettings(BaseModel):
@@ -98,19 +82,6 @@ class Stopwatch:
 
 
 @dataclass(frozen=True)
-class TiedPrimitive:
-    """A primitive conditioned on the start and the goal of a problem.
-
-    Attributes:
-        primitive: its whitened coordinates are those in which planners work.
-        posture: (6,) rad, the final configuration that it was conditioned on.
-    """
-
-    primitive: ProMP
-    posture: FloatArray
-
-
-@dataclass(frozen=True)
 class Particles:
     """The part of a set that belongs to one component of the prior.
 
@@ -123,122 +94,6 @@ class Particles:
     component: int
     tied: TiedPrimitive
     latent: Tensor
-
-
-def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> FloatArray:
-    """Return the configuration (6,) that reaches a goal and is most likely under the primitive.
-
-    Gauss-Newton on the negative log-posterior of the final configuration, given that the carried
-    point is in the middle of the region up to `GOAL_STD`. Of several goals the likeliest is taken.
-
-    Raises:
-        UnreachableError: no goal is reached.
-    """
-    mean_tensor, covariance = primitive.marginal(1.0)
-    mean, precision = mean_tensor.numpy(), np.linalg.inv(covariance.numpy())
-    best: tuple[float, FloatArray] | None = None
-    nearest = np.inf
-    for goal in problem.goals:
-        # Approaching the goal in steps keeps each linearisation close to the truth.
-        posture = np.clip(mean, robot.lower, robot.upper)
-        origin = robot.carried_points(posture, goal.point)[0]
-        for share in (*np.linspace(0.2, 1.0, 5), 1.0, 1.0, 1.0, 1.0, 1.0):
-            target = origin + share * (goal.center - origin)
-            point, jacobian = robot.carried_points(posture, goal.point)
-            scaled = jacobian / GOAL_STD
-            hessian = scaled.T @ scaled + precision
-            slope = scaled.T @ (point - target) / GOAL_STD + precision @ (posture - mean)
-            change = np.linalg.solve(hessian, slope)
-            change *= min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))
-            posture = np.clip(posture - change, robot.lower, robot.upper)
-        point = robot.carried_points(posture, goal.point)[0]
-        error = float(np.linalg.norm(point - np.clip(point, goal.lower, goal.upper)))
-        nearest = min(nearest, error)
-        energy = float((posture - mean) @ precision @ (posture - mean))
-        if error <= REACHED and (best is None or energy < best[0]):
-            best = energy, posture
-    if best is None:
-        regions = ", ".join(f"{np.round(goal.center, 3)}" for goal in problem.goals)
-        raise UnreachableError(
-            f"goal {regions} is out of reach: the arm stays {nearest:.3f} m away from it"
-        )
-    return best[1]
-
-
-def _through(primitive: ProMP, via_points: Sequence[ViaPoint], robot: RobotModel) -> ProMP:
-    """Return the primitive conditioned on via-points, linearised where they are met.
-
-    The most likely trajectory that passes them up to `VIA_STD` is found by Gauss-Newton in whitened
-    coordinates; about it the pen's place is taken to be linear in the weights (Laplace's way).
-    """
-    places = np.array([via.position for via in via_points])
-    at = torch.tensor([via.phase for via in via_points], dtype=primitive.mean.dtype)
-    identity = torch.eye(primitive.dimension, dtype=at.dtype)
-    values = primitive.basis.values(at)
-    latent = torch.zeros(primitive.rank, dtype=at.dtype)
-    unit = torch.eye(primitive.rank, dtype=at.dtype)
-    rows, value = torch.empty(0), torch.empty(0)
-    for _ in range(_VIA_ITERATIONS):
-        q = (values @ primitive.unwhiten(latent).reshape(-1, primitive.dimension)).numpy()
-        reached = [robot.carried_points(q[k], via_points[k].point) for k in range(len(via_points))]
-        jacobian = np.array([j for _, j in reached])
-        target = places - np.array([p for p, _ in reached]) + np.einsum("kij,kj->ki", jacobian, q)
-        by_joint = torch.einsum("kij,kb,jd->kibd", torch.from_numpy(jacobian), values, identity)
-        rows, value = (
-            by_joint.reshape(-1, primitive.mean.shape[-1]),
-            torch.from_numpy(target).ravel(),
-        )
-        scaled = rows @ primitive.factor / VIA_STD
-        residual = (value - rows @ primitive.mean) / VIA_STD
-        latent = torch.linalg.solve(scaled.mT @ scaled + unit, scaled.mT @ residual)
-    noise = torch.full((len(rows),), VIA_STD**2, dtype=at.dtype)
-    return primitive.observe(rows, value, noise)
-
-
-def _tie(
-    primitive: ProMP, problem: Problem, robot: RobotModel, through: Sequence[ViaPoint]
-) -> TiedPrimitive:
-    """Condition on what is certain (start, rest at both ends), then on via-points and a goal."""
-    rest = torch.zeros(primitive.dimension, dtype=torch.float64)
-    start = torch.from_numpy(problem.start)
-    tied = primitive.condition(0.0, start).condition(0.0, rest, derivative=True)
-    tied = tied.condition(1.0, rest, derivative=True)
-    tied = _through_poses(tied, problem)
-    if through:
-        tied = _through(tied, through, robot)
-    posture = _final_posture(tied, problem, robot)
-    goal = min(
-        problem.goals,
-        key=lambda g: float(np.linalg.norm(robot.carried_points(posture, g.point)[0] - g.center)),
-    )
-    jacobian = robot.carried_points(posture, goal.point)[1] / GOAL_STD
-    information = jacobian.T @ jacobian + np.eye(len(posture)) / POSTURE_STD**2
-    covariance = torch.from_numpy(np.linalg.inv(information))
-    tied = tied.condition(1.0, torch.from_numpy(posture), (covariance + covariance.mT) / 2)
-    return TiedPrimitive(tied, posture)
-
-
-def _through_poses(primitive: ProMP, problem: Problem) -> ProMP:
-    """Return the primitive conditioned on the via-poses of a problem.
-
-    A pose leaves an arm of six joints no freedom but the choice of a branch: the configuration
-    nearest to what the primitive expects is taken.
-
-    Raises:
-        UnreachableError: a via-pose is out of reach.
-    """
-    rest = torch.zeros(primitive.dimension, dtype=torch.float64)
-    spread = VIA_POSE_STD**2 * torch.eye(primitive.dimension, dtype=torch.float64)
-    near: FloatArray | None = None
-    # The last one first: the arm is stretched there, and away from its joint limits.
-    for via in reversed(problem.via_poses):
-        if near is None:
-            near = primitive.marginal(via.phase)[0].numpy()
-        near = inverse_kinematics(via.pose[:3, 3], via.pose[:3, :3], seed=near)
-        primitive = primitive.condition(via.phase, torch.from_numpy(near), spread)
-        if via.rest:
-            primitive = primitive.condition(via.phase, rest, derivative=True)
-    return primitive
 
 
 class PlannerModel(ABC):
@@ -301,7 +156,7 @@ class PlannerModel(ABC):
         Raises:
             UnreachableError: no goal is within reach.
         """
-        return _tie(self._widened(self.primitive, width), problem, robot, through)
+        return tie_primitive(self._widened(self.primitive, width), problem, robot, through)
 
     def _widened(self, primitive: ProMP, width: float) -> ProMP:
         if width <= 1.0:
@@ -336,7 +191,9 @@ class PlannerModel(ABC):
         unreachable: UnreachableError | None = None
         for index, component in enumerate(self.mixture.components):
             try:
-                tied[index] = _tie(self._widened(component, width), problem, robot, through)
+                tied[index] = tie_primitive(
+                    self._widened(component, width), problem, robot, through
+                )
             except UnreachableError as error:
                 unreachable = error
         if not tied:
@@ -356,7 +213,7 @@ class PlannerModel(ABC):
             if count
         ]
 
-    def judge(
+    def plan_of(
         self,
         problem: Problem,
         robot: RobotModel,
@@ -364,7 +221,7 @@ class PlannerModel(ABC):
         costs: dict[str, FloatArray],
         stopwatch: Stopwatch,
     ) -> Plan:
-        """Return the plan that particles amount to: verified, and the best of them chosen.
+        """Return the plan that particles of the primitive amount to.
 
         Args:
             problem: to be solved.
@@ -373,42 +230,66 @@ class PlannerModel(ABC):
             costs: what is known already of each particle, each (P,).
             stopwatch: its stages go into the plan.
         """
-        with stopwatch.stage("verification"):
-            weights = torch.cat([p.tied.primitive.unwhiten(p.latent) for p in particles])
-            primitive = particles[0].tied.primitive
-            trajectories = primitive.trajectory(weights, SAMPLES).numpy()
-            verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
-            executable = verdict.executable
-            goal_error = goal_distance(problem, robot, trajectories[:, -1])
-            prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
-            missed = missed_via_points(problem, robot, trajectories)
-            costs = {"prior": prior.numpy(), **costs}
-            passing = missed <= 0.0
-            good = verdict.collision_free & executable & passing
-            chosen = choose(verdict, goal_error, missed, costs)
-        message = ""
-        if not good.any():
-            message = (
-                "no particle is collision-free and executable: "
-                f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
-                f"{int(executable.sum())} executable; the least bad one is chosen"
-                if passing.all()
-                else "no particle is collision-free, executable and passes all via-points: "
-                f"{int(verdict.collision_free.sum())} of {len(good)} are free, "
-                f"{int(executable.sum())} executable, {int(passing.sum())} pass; the least bad "
-                "one is chosen"
-            )
-        shape = (len(weights), primitive.basis.count, primitive.dimension)
+        primitive = particles[0].tied.primitive
+        weights = torch.cat([p.tied.primitive.unwhiten(p.latent) for p in particles])
+        prior = torch.cat([0.5 * p.latent.square().sum(-1) for p in particles])
         components = None
         if len(self.mixture.components) > 1:
             components = np.repeat(
                 [p.component for p in particles], [len(p.latent) for p in particles]
             )
+        return self.judge(
+            problem,
+            robot,
+            primitive.trajectory(weights, SAMPLES).numpy(),
+            weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
+            {"prior": prior.numpy(), **costs},
+            stopwatch,
+            components=components,
+        )
+
+    def judge(
+        self,
+        problem: Problem,
+        robot: RobotModel,
+        trajectories: FloatArray,
+        weights: FloatArray,
+        costs: dict[str, FloatArray],
+        stopwatch: Stopwatch,
+        *,
+        components: NDArray[np.int64] | None = None,
+        reason: str = "no particle is good",
+    ) -> Plan:
+        """Return the plan that trajectories amount to: verified, and the best of them chosen.
+
+        Args:
+            problem: to be solved.
+            robot: arm with all that it carries.
+            trajectories: (P, T, D) rad.
+            weights: (P, K, D) of the primitive.
+            costs: what is known already of each particle, each (P,), `prior` among them.
+            stopwatch: its stages go into the plan.
+            components: (P,), see `Plan`.
+            reason: what the plan's message begins with if no particle is good.
+        """
+        with stopwatch.stage("verification"):
+            verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
+            goal_error = goal_distance(problem, robot, trajectories[:, -1])
+            missed = missed_via_points(problem, robot, trajectories)
+            chosen = choose(verdict, goal_error, missed, costs)
+        free, executable, passing = verdict.collision_free, verdict.executable, missed <= 0.0
+        message = ""
+        if not (free & executable & passing).any():
+            message = (
+                f"{reason}: of {len(free)} particles {int(free.sum())} are collision-free, "
+                f"{int(executable.sum())} executable, {int(passing.sum())} pass all via-points; "
+                "the least bad one is chosen"
+            )
         return Plan(
-            weights=weights.numpy().reshape(shape),
+            weights=weights,
             trajectories=trajectories,
             costs=costs,
-            collision_free=verdict.collision_free,
+            collision_free=free,
             clearance=verdict.clearance,
             goal_error=goal_error,
             duration=verdict.duration,

@@ -9,15 +9,12 @@ from smp_planner.problem import Problem
 from smp_planner.robot_model import RobotModel
 from smp_planner.verification import Verification
 
-__all__ = ["SAFE_CLEARANCE", "VIA_WINDOW", "choose", "goal_distance", "missed_via_points"]
+__all__ = ["SAFE_CLEARANCE", "choose", "goal_distance", "missed_via_points"]
 
 FloatArray = NDArray[np.float64]
 
 SAFE_CLEARANCE = 0.01
 """Clearance, m, beyond which more of it makes a particle no better."""
-
-VIA_WINDOW = 0.06
-"""Phase by which a via-point may be passed sooner or later than it is due."""
 
 
 def goal_distance(problem: Problem, robot: RobotModel, ends: FloatArray) -> FloatArray:
@@ -30,15 +27,17 @@ def goal_distance(problem: Problem, robot: RobotModel, ends: FloatArray) -> Floa
 
 
 def missed_via_points(problem: Problem, robot: RobotModel, trajectories: FloatArray) -> FloatArray:
-    """Return by how much (P,) m trajectories miss the via-point that they miss most, 0 if none."""
-    phase = np.linspace(0.0, 1.0, trajectories.shape[1])
-    missed = np.zeros(len(trajectories))
+    """Return by how much (P,) m trajectories miss the via-point that they miss most, 0 if none.
+
+    Via-points are to be passed in their order: each is passed not before the one before it. Of all
+    such ways to pass them, that whose worst miss is the least counts.
+    """
+    worst = np.zeros(trajectories.shape[:2])
     for via in problem.via_points:
-        due = np.abs(phase - via.phase) <= VIA_WINDOW
-        points = robot.carried_points(trajectories[:, due], via.point)[0]
-        distance = np.linalg.norm(points - via.position, axis=-1).min(axis=1)
-        missed = np.maximum(missed, distance - via.tolerance)
-    return missed
+        points = robot.carried_points(trajectories, via.point)[0]
+        missed = np.linalg.norm(points - via.position, axis=-1) - via.tolerance
+        worst = np.minimum.accumulate(np.maximum(worst, missed), axis=1)
+    return np.asarray(worst.min(axis=1))
 
 
 def choose(

@@ -18,4 +18,4 @@ class ProMPPlanner(PlannerModel):
         with stopwatch.stage("conditioning"):
             robot = jaco_with(problem)
             particles = self.draw(problem, robot)
-        return self.judge(problem, robot, particles, {}, stopwatch)
+        return self.plan_of(problem, robot, particles, {}, stopwatch)

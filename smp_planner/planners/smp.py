@@ -38,9 +38,9 @@ from smp_planner.planners.base import (
     PlannerModel,
     PlannerSettings,
     Stopwatch,
-    TiedPrimitive,
     jaco_with,
 )
+from smp_planner.planners.tying import TiedPrimitive
 from smp_planner.problem import Plan, Problem, Stage
 from smp_planner.robot_model import RobotModel, jaco_of_spheres
 
@@ -123,7 +123,7 @@ class SMPPlanner(PlannerModel):
                 drawn = self.draw(problem, robot, 2.0**attempt, through=problem.via_points)
             with stopwatch.stage("inference"):
                 particles, costs = self._infer_all(drawn, likelihood)
-            plan = self.judge(problem, robot, particles, costs, stopwatch)
+            plan = self.plan_of(problem, robot, particles, costs, stopwatch)
             if best is None or plan.good.any() > best.good.any():
                 best = plan
             if best.good.any():

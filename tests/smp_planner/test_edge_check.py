@@ -3,29 +3,22 @@
 import numpy as np
 import pytest
 
-from smp_gym.kinematics import SphereSet, box_spheres, concatenate, finger_spheres, sphere_centers
+from smp_gym.kinematics import (
+    arm_spheres,
+    box_spheres,
+    concatenate,
+    finger_spheres,
+    sphere_centers,
+)
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, fixtures
 from smp_planner.edge_check import EdgeChecker
 from smp_planner.occupancy.analytic import signed_distance
-from smp_planner.robot_model import RobotModel, jaco_model
+from smp_planner.problem import Stage
+from smp_planner.robot_model import jaco_model, jaco_of_spheres
 from smp_planner.verification import TOLERANCE, check_collisions
 
 MARGIN = 0.005
-
-
-def pointer(length=1.0, radius=0.1):
-    """One joint about z, and one sphere at the end of a pointer along x."""
-    return RobotModel(
-        base=np.eye(4),
-        joint_origins=np.eye(4)[None],
-        end_effector=np.eye(4),
-        lower=np.array([-3.0]),
-        upper=np.array([3.0]),
-        velocity=np.array([1.0]),
-        spheres=SphereSet(np.array([1]), np.array([[length, 0.0, 0.0]]), np.array([radius])),
-        collision_pairs=np.empty((0, 2), np.int64),
-    )
 
 
 def post(gap, angle=0.61):
@@ -38,7 +31,7 @@ def post(gap, angle=0.61):
 @pytest.mark.parametrize(
     ("gap", "free"), [(-0.02, False), (0.004, False), (0.0061, True), (0.03, True)]
 )
-def test_a_pointer_passes_what_it_keeps_the_margin_to(gap, free):
+def test_a_pointer_passes_what_it_keeps_the_margin_to(pointer, gap, free):
     checker = EdgeChecker(pointer(), (post(gap),), MARGIN)
     assert checker.configurations_free([[0.0], [1.4]]).all()
     assert checker.edges_free([[0.0], [1.4]], [[1.4], [0.0]]).tolist() == [free, free]
@@ -46,7 +39,7 @@ def test_a_pointer_passes_what_it_keeps_the_margin_to(gap, free):
 
 
 @pytest.mark.parametrize("length", [0.2, 0.7, 2.6])
-def test_no_obstacle_is_so_small_that_an_edge_steps_over_it(length):
+def test_no_obstacle_is_so_small_that_an_edge_steps_over_it(pointer, length):
     thin = pointer(radius=0.005)
     for angle in np.linspace(0.03, 0.97, 40) * length:
         position = (np.cos(angle), np.sin(angle), 0.0)
@@ -57,7 +50,7 @@ def test_no_obstacle_is_so_small_that_an_edge_steps_over_it(length):
             assert not checker.edges_free(edges, edges[::-1]).any()
 
 
-def test_without_obstacles_all_is_free():
+def test_without_obstacles_all_is_free(pointer):
     assert EdgeChecker(pointer(), ()).edges_free([[-3.0]], [[3.0]])[0]
 
 
@@ -136,7 +129,7 @@ def test_the_direction_of_an_edge_does_not_matter_for_what_is_certain(arm, edges
 
 
 @pytest.mark.parametrize("margin", [0.0, -0.01, np.nan, np.inf])
-def test_a_margin_below_the_tolerance_is_refused(margin):
+def test_a_margin_below_the_tolerance_is_refused(pointer, margin):
     with pytest.raises(ValueError, match="margin"):
         EdgeChecker(pointer(), (), margin)
 
@@ -151,3 +144,25 @@ def test_configurations_must_fit_the_robot_and_be_finite(arm, wrong):
         checker.edges_free(wrong, np.zeros((1, 6)))
     with pytest.raises(ValueError, match="ends"):
         checker.edges_free(np.zeros((3, 6)), np.zeros((2, 6)))
+
+
+def test_what_moves_in_two_stages_keeps_the_margin_to_its_own_obstacles_only(arm, edges):
+    """Against a checker for each stage, and one for what the stages together must not do."""
+    _, obstacles, _ = arm
+    held = np.eye(4)
+    held[0, 3] = 0.05
+    hand = concatenate(arm_spheres(), finger_spheres((0.5, 0.5, 0.3, 0.3)))
+    box = box_spheres((0.03, 0.03, 0.06), held)
+    stages = (Stage(0.0, 1.0, hand, obstacles[:2]), Stage(0.2, 1.0, box, obstacles[1:]))
+    together = EdgeChecker.of_stages(stages, MARGIN).edges_free(*edges)
+    whole = jaco_model(concatenate(finger_spheres((0.5, 0.5, 0.3, 0.3)), box))
+    apart = [
+        EdgeChecker(jaco_of_spheres(stage.spheres), stage.obstacles, MARGIN).edges_free(*edges)
+        for stage in stages
+    ]
+    alone = EdgeChecker(whole, ()).edges_free(*edges)
+    np.testing.assert_array_equal(together, apart[0] & apart[1] & alone)
+    all_of_all = EdgeChecker(whole, obstacles, MARGIN).edges_free(*edges)
+    assert (together & ~all_of_all).any()
+    assert (apart[0] & ~apart[1]).any()
+    assert (apart[1] & ~apart[0]).any()

@@ -128,12 +128,6 @@ def test_an_obstacle_in_the_way_of_the_carried_box_alone_is_seen(posed):
     assert hand_only.clearance.max() > hit.clearance.max()
 
 
-def test_rrt_connect_refuses_what_it_cannot_search(posed):
-    planner = make_planner("rrt_connect", "PushLiftBox", settings={"particles": 1})
-    with pytest.raises(ValueError, match="cannot solve problems with via-poses or stages"):
-        planner.plan([posed[1]])
-
-
 def test_the_arm_stands_still_while_the_hand_closes():
     way = np.linspace(0.0, 1.0, 101)[:, None] * np.full(6, 0.5)
     track = Track(way, 10.0, GripperEvent(phase=0.5, command=1.0))

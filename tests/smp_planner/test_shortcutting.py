@@ -6,31 +6,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from smp_gym.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.edge_check import EdgeChecker
-from smp_planner.robot_model import RobotModel
 from smp_planner.shortcutting import minimum_jerk, path_length, shortcut, smooth, stop_at_corners
 from smp_planner.verification import check_collisions
 
 VELOCITY = np.array([1.0, 2.0])
-
-
-def planar():
-    """Two links of a metre in the plane, with a ball in the middle and at the end of each."""
-    origins = np.stack([np.eye(4), np.eye(4)])
-    origins[1, 0, 3] = 1.0
-    center = np.array([[0.5, 0, 0], [1.0, 0, 0], [0.5, 0, 0], [1.0, 0, 0]])
-    return RobotModel(
-        base=np.eye(4),
-        joint_origins=origins,
-        end_effector=np.eye(4),
-        lower=np.full(2, -3.0),
-        upper=np.full(2, 3.0),
-        velocity=VELOCITY,
-        spheres=SphereSet(np.array([1, 1, 2, 2]), center, np.full(4, 0.05)),
-        collision_pairs=np.empty((0, 2), np.int64),
-    )
 
 
 PILLAR = Obstacle(shape="cylinder", position=(1.5, 0.0, 0.0), size=(0.1, 0.1, 1.0))
@@ -48,21 +29,21 @@ def distance_to_path(points, path):
     return best
 
 
-def test_without_obstacles_the_straight_edge_is_left():
-    checker = EdgeChecker(planar(), ())
+def test_without_obstacles_the_straight_edge_is_left(planar):
+    checker = EdgeChecker(planar, ())
     short = shortcut(DETOUR, checker, 0, np.random.default_rng(0))
     np.testing.assert_array_equal(short, DETOUR[[0, -1]])
 
 
-def test_around_an_obstacle_the_path_gets_shorter_and_stays_free():
-    checker = EdgeChecker(planar(), (PILLAR,), 0.005)
+def test_around_an_obstacle_the_path_gets_shorter_and_stays_free(planar):
+    checker = EdgeChecker(planar, (PILLAR,), 0.005)
     assert checker.edges_free(DETOUR[:-1], DETOUR[1:]).all()
     assert not checker.edges_free(DETOUR[:1], DETOUR[-1:])[0]
     lengths = []
     for iterations in (0, 300):
         short = shortcut(DETOUR, checker, iterations, np.random.default_rng(0))
         np.testing.assert_array_equal(short[[0, -1]], DETOUR[[0, -1]])
-        check = check_collisions(short[None], planar(), (PILLAR,))
+        check = check_collisions(short[None], planar, (PILLAR,))
         assert check.free[0]
         assert check.clearance[0] >= 0.005
         lengths.append(path_length(short))
@@ -136,9 +117,9 @@ def test_repeated_corners_do_no_harm():
 
 
 @pytest.mark.parametrize("path", [np.zeros(2), np.zeros((1, 2)), np.array([[0.0, 0], [np.nan, 1]])])
-def test_a_path_has_two_finite_configurations_or_more(path):
+def test_a_path_has_two_finite_configurations_or_more(planar, path):
     with pytest.raises(ValueError, match="path"):
-        shortcut(path, EdgeChecker(planar(), ()), 1, np.random.default_rng(0))
+        shortcut(path, EdgeChecker(planar, ()), 1, np.random.default_rng(0))
     with pytest.raises(ValueError, match="path"):
         smooth(path, VELOCITY, 7, 200)
     with pytest.raises(ValueError, match="path"):

@@ -12,7 +12,7 @@ from smp_gym import kinematics
 from smp_gym.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.occupancy.analytic import PackedObstacles, signed_distance
-from smp_planner.robot_model import RobotModel, jaco_model
+from smp_planner.robot_model import jaco_model
 from smp_planner.verification import (
     TOLERANCE,
     check_collisions,
@@ -53,18 +53,10 @@ def dense(paths, parts):
     return np.concatenate([steps.reshape(len(paths), -1, paths.shape[2]), paths[:, -1:]], axis=1)
 
 
-def rod(radius=0.05, length=0.5):
-    """One joint about z at the origin and one sphere at the end of a rod along x."""
-    return RobotModel(
-        base=np.eye(4),
-        joint_origins=np.eye(4)[None],
-        end_effector=np.eye(4),
-        lower=np.array([-3.0]),
-        upper=np.array([3.0]),
-        velocity=np.array([0.5]),
-        spheres=SphereSet(np.array([1]), np.array([[length, 0.0, 0.0]]), np.array([radius])),
-        collision_pairs=np.empty((0, 2), np.int64),
-    )
+@pytest.fixture(scope="module")
+def rod(pointer):
+    """A pointer of half a metre."""
+    return pointer(length=0.5, radius=0.05, velocity=0.5)
 
 
 def test_clearance_is_that_of_dense_sampling(robot, paths):
@@ -141,37 +133,37 @@ def test_clearance_is_that_of_the_physics_engine(robot):
     assert (found > 0.0).any()
 
 
-def test_what_lies_only_between_two_steps_is_found():
+def test_what_lies_only_between_two_steps_is_found(rod):
     plate = Obstacle(shape="box", position=(0.5, 0.0, 0.0), size=(0.2, 0.001, 0.2))
     path = np.array([[[-1.0], [1.0]], [[-1.0], [-0.2]]])
-    check = check_collisions(path, rod(), (plate,))
+    check = check_collisions(path, rod, (plate,))
     assert check.clearance[0] == pytest.approx(-0.05 - 0.001, abs=TOLERANCE)
     assert check.clearance[1] == pytest.approx(0.5 * np.sin(0.2) - 0.05 - 0.001, abs=TOLERANCE)
     np.testing.assert_array_equal(check.free, [False, True])
 
 
-def test_self_contact_between_two_steps_is_found():
+def test_self_contact_between_two_steps_is_found(rod):
     """A sphere of the mount stands in the way of the one on the rod, between all the steps."""
     radius = np.array([0.02, 0.05])
     for at, free in ((0.5 + 0.07 - 0.01, False), (0.5 + 0.07 + 0.01, True)):
         center = np.array([[at, 0.0, 0.0], [0.5, 0.0, 0.0]])
         robot = dataclasses.replace(
-            rod(), spheres=SphereSet(np.array([0, 1]), center, radius), collision_pairs=[[0, 1]]
+            rod, spheres=SphereSet(np.array([0, 1]), center, radius), collision_pairs=[[0, 1]]
         )
         check = check_collisions(np.array([[[-1.0], [1.0]]]), robot, ())
         assert check.self_free.tolist() == check.free.tolist() == [free]
 
 
-def test_a_path_is_free_only_if_it_is_so_for_certain():
+def test_a_path_is_free_only_if_it_is_so_for_certain(rod):
     """A ball on the circle that the rod's sphere draws leaves a gap of 0.4 and 1.6 tolerances."""
     for gap, free in ((0.4 * TOLERANCE, False), (1.6 * TOLERANCE, True)):
         # The closest approach, at 0.1234 rad, is at none of the steps.
         at = (0.5 + 0.05 + 0.1 + gap) * np.array([np.cos(0.1234), np.sin(0.1234), 0.0])
         ball = Obstacle(shape="sphere", position=tuple(at.tolist()), size=(0.1, 0.1, 0.1))
         path = np.linspace(-1.0, 1.0, 7)[None, :, None]
-        check = check_collisions(path, rod(), (ball,), TOLERANCE / 4)
+        check = check_collisions(path, rod, (ball,), TOLERANCE / 4)
         assert gap <= check.clearance[0] + 1e-12 <= gap + TOLERANCE / 4 + 1e-12
-        assert (check_collisions(path, rod(), (ball,)).free == free).all()
+        assert (check_collisions(path, rod, (ball,)).free == free).all()
 
 
 def test_more_steps_on_the_same_path_change_nothing(robot, paths):
@@ -193,11 +185,11 @@ def test_packed_obstacles_are_taken(robot, paths):
     )
 
 
-def test_the_mount_is_not_checked():
+def test_the_mount_is_not_checked(rod):
     spheres = SphereSet(
         np.array([0, 1]), np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.array([0.1, 0.05])
     )
-    fixed = dataclasses.replace(rod(), spheres=spheres)
+    fixed = dataclasses.replace(rod, spheres=spheres)
     ball = Obstacle(shape="sphere", position=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
     check = check_collisions(np.zeros((1, 2, 1)), fixed, (ball,))
     assert check.clearance[0] == pytest.approx(0.5 - 0.05 - 0.1)
@@ -238,10 +230,10 @@ def test_joint_limits(robot):
     assert within_joint_limits(paths, robot).tolist() == [True, False, False]
 
 
-def test_verification_says_what_is_executable():
+def test_verification_says_what_is_executable(rod):
     turns = np.array([[[0.0], [1.0]], [[0.0], [2.0]], [[2.5], [3.1]]])
     ball = Obstacle(shape="sphere", position=(0.5, 0.0, 0.0), size=(0.01, 0.01, 0.01))
-    result = verify(turns, rod(), (ball,), duration_limit=3.0)
+    result = verify(turns, rod, (ball,), duration_limit=3.0)
     np.testing.assert_allclose(result.duration, np.array([1.0, 2.0, 0.6]) / (0.9 * 0.5))
     assert result.within_limits.tolist() == [True, True, False]
     assert result.executable.tolist() == [True, False, False]
@@ -263,6 +255,6 @@ def test_verification_says_what_is_executable():
         (lambda r: verify(np.zeros((1, 2, 1)), r, (), 0.0), "duration_limit must be positive"),
     ],
 )
-def test_bad_input_is_refused(call, message):
+def test_bad_input_is_refused(rod, call, message):
     with pytest.raises(ValueError, match=message):
-        call(rod())
+        call(rod)

@@ -1,0 +1,101 @@
+"""What the tests of the planner share."""
+
+import numpy as np
+import pytest
+
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.kinematics import SphereSet, box_spheres, concatenate, finger_spheres
+from smp_gym.sampling import sample_scene
+from smp_gym.scene import BIN_HEIGHT, fixtures
+from smp_planner.edge_check import EdgeChecker
+from smp_planner.problem import GoalRegion, Problem
+from smp_planner.robot_model import RobotModel, jaco_model
+
+
+@pytest.fixture(scope="session")
+def pointer():
+    """Return a function that makes a robot of one joint about z, with a sphere at its end."""
+
+    def make(length=1.0, radius=0.1, limit=3.0, velocity=1.0):
+        return RobotModel(
+            base=np.eye(4),
+            joint_origins=np.eye(4)[None],
+            end_effector=np.eye(4),
+            lower=np.array([-limit]),
+            upper=np.array([limit]),
+            velocity=np.array([velocity]),
+            spheres=SphereSet(np.array([1]), np.array([[length, 0.0, 0.0]]), np.array([radius])),
+            collision_pairs=np.empty((0, 2), np.int64),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def planar():
+    """Two links of a metre in the plane, with a ball in the middle and at the end of each."""
+    origins = np.stack([np.eye(4), np.eye(4)])
+    origins[1, 0, 3] = 1.0
+    center = np.array([[0.5, 0, 0], [1.0, 0, 0], [0.5, 0, 0], [1.0, 0, 0]])
+    return RobotModel(
+        base=np.eye(4),
+        joint_origins=origins,
+        end_effector=np.eye(4),
+        lower=np.full(2, -3.0),
+        upper=np.full(2, 3.0),
+        velocity=np.array([1.0, 2.0]),
+        spheres=SphereSet(np.array([1, 1, 2, 2]), center, np.full(4, 0.05)),
+        collision_pairs=np.empty((0, 2), np.int64),
+    )
+
+
+@pytest.fixture(scope="session")
+def postures():
+    """The last configurations (7,6) rad of the demonstrations of Placement."""
+    return np.array([path[-1] for path in Demonstrations.load("Placement").configurations])
+
+
+@pytest.fixture(scope="session")
+def held():
+    """The pose (4,4) in which `placement` holds its object."""
+    pose = np.eye(4)
+    pose[0, 3] = 0.022
+    return pose
+
+
+@pytest.fixture(scope="session")
+def region(held):
+    """Return a function that makes a goal for the held object's centre."""
+
+    def make(center, half=(0.02, 0.02, 0.015)):
+        return GoalRegion(held[:3, 3], np.subtract(center, half), np.add(center, half))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def placement(held, region):
+    """Return a function that poses the problem of a scene of Placement."""
+    hand = finger_spheres((0.9, 0.9, 0.3, 0.3))
+    spheres = concatenate(hand, box_spheres((0.025, 0.025, 0.03), held))
+
+    def make(scene, seed=0, extra=(), goals=None):
+        x, y, z = scene.goals[0].position
+        above = (region((x, y, z + BIN_HEIGHT + 0.055)),)
+        obstacles = (*scene.obstacles, *extra, *fixtures(scene))
+        return Problem(np.array(scene.start), obstacles, spheres, goals or above, seed)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def crowded():
+    """A scene of Placement."""
+    return sample_scene("Placement", "hard", 3)
+
+
+@pytest.fixture(scope="session")
+def checker(placement, crowded):
+    """The free space of that scene."""
+    problem = placement(crowded)
+    return EdgeChecker(jaco_model(problem.attached), problem.obstacles, 0.005)
