@@ -18,6 +18,7 @@ __all__ = [
     "best_pair",
     "blocked_paths",
     "longest_steps",
+    "ones",
     "packed",
     "path_clearances",
     "point_distance",
@@ -361,7 +362,7 @@ def packed(flags: NDArray[np.bool_]) -> NDArray[np.uint64]:
 
 
 @njit(cache=True)
-def _ones(word: np.uint64) -> np.uint64:
+def ones(word: np.uint64) -> np.uint64:
     """Return how many bits of a word are set (the parallel sum of Knuth, TAOCP 7.1.3)."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     low = np.uint64(0x3333333333333333)
@@ -392,7 +393,7 @@ def best_pair(
                 continue
             total = np.uint64(0)
             for v in range(blocks.shape[1]):
-                total += _ones(blocks[i, v] | blocks[j, v])
+                total += ones(blocks[i, v] | blocks[j, v])
             if np.int64(total) <= best:
                 continue
             common = False

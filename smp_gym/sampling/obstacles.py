@@ -28,6 +28,7 @@ __all__ = [
     "apart",
     "choose",
     "draw_candidates",
+    "draw_rows",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -72,6 +73,29 @@ def widths(rows: FloatArray) -> FloatArray:
     return widths
 
 
+def draw_rows(points: FloatArray, radius: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return (C, 9) rows of random obstacles that reach spheres about points, or stand below.
+
+    Args:
+        points: (C, 3) m.
+        radius: (C,) m.
+        rng: source of all randomness.
+    """
+    count = len(points)
+    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
+    size = rng.uniform(*HALF_EXTENTS, size=(count, 3))
+    box, ball = SHAPES.index("box"), SHAPES.index("sphere")
+    size[shape != box, 1] = size[shape != box, 0]
+    size[shape == ball, 2] = size[shape == ball, 0]
+    yaw = rng.uniform(-np.pi, np.pi, size=count)
+    offset = rng.standard_normal((count, 3))
+    offset *= rng.uniform(size=(count, 1)) / np.sqrt((offset**2).sum(axis=1, keepdims=True))
+    position = points + offset * (radius + size.min(axis=1))[:, None]
+    on_table = rng.uniform(size=count) < _TABLE_SHARE
+    position[:, 2] = np.where(on_table, size[:, 2], position[:, 2])
+    return np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
+
+
 def draw_candidates(
     task: ObjectTask, family: Family, goals: tuple[Goal, ...], rng: np.random.Generator
 ) -> FloatArray:
@@ -84,20 +108,8 @@ def draw_candidates(
     sample = rng.integers(task.samples, size=count)
     hand = np.flatnonzero(task.spheres.link[task.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
-    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
-    size = rng.uniform(*HALF_EXTENTS, size=(count, 3))
-    box, ball = SHAPES.index("box"), SHAPES.index("sphere")
-    size[shape != box, 1] = size[shape != box, 0]
-    size[shape == ball, 2] = size[shape == ball, 0]
-    yaw = rng.uniform(-np.pi, np.pi, size=count)
-    offset = rng.standard_normal((count, 3))
-    offset *= rng.uniform(size=(count, 1)) / np.sqrt((offset**2).sum(axis=1, keepdims=True))
-    reach = family.radius[sphere] + size.min(axis=1)
-    position = family.paths[member, sample, sphere] + offset * reach[:, None]
-    on_table = rng.uniform(size=count) < _TABLE_SHARE
-    position[:, 2] = np.where(on_table, size[:, 2], position[:, 2])
-    rows = np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
-
+    rows = draw_rows(family.paths[member, sample, sphere], family.radius[sphere], rng)
+    position, size = rows[:, 1:4], rows[:, 6:]
     fits = np.hypot(position[:, 0], position[:, 1]) >= BASE_DISTANCE
     fits &= position[:, 2] >= size[:, 2]
     for goal in goals:

@@ -1,0 +1,140 @@
+"""Obstacles on two legs: candidates near their proposals, and the choice of those that block most.
+
+A way is free where both its legs are, so the share of free ways is the product of the shares of free
+legs, and that is what is made small. A witness is needed on each leg.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from smp_gym.sampling import kernels
+from smp_gym.sampling.legs import LegFamily
+from smp_gym.sampling.obstacles import BASE_DISTANCE, REPEATED, apart, draw_rows
+from smp_gym.sampling.specification import DifficultySpecification
+
+__all__ = ["choose_on_legs", "draw_on_legs"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Words = NDArray[np.uint64]
+
+_HAND_LINK = 5
+_CANDIDATES = 500
+_COMPARED = 240
+_PAIRED = 100
+"""How many candidates are drawn, how many of the most blocking are compared, how many in pairs."""
+
+
+def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> FloatArray:
+    """Return rows of obstacles near the hand's paths on both legs, over the table."""
+    points, reach = [], []
+    for family in families:
+        count = _CANDIDATES // 2
+        spheres = np.flatnonzero(family.leg.spheres.link[family.leg.outline] >= _HAND_LINK)
+        member = rng.integers(family.proposals, size=count)
+        sample = rng.integers(family.paths.shape[1], size=count)
+        sphere = spheres[rng.integers(len(spheres), size=count)]
+        points.append(family.paths[member, sample, sphere])
+        reach.append(family.leg.spheres.radius[family.leg.outline[sphere]])
+    rows = draw_rows(np.concatenate(points), np.concatenate(reach), rng)
+    fits = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
+    return rows[fits & (rows[:, 3] >= rows[:, 8])]
+
+
+@njit(cache=True)
+def _common(a: Words, b: Words) -> bool:
+    for w in range(len(a)):
+        if a[w] & b[w]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _best_pair(
+    blocks: tuple[Words, Words],
+    counts: tuple[int, int],
+    clears: tuple[Words, Words],
+    allowed: BoolArray,
+    repeated: float,
+) -> tuple[int, int]:
+    """Return the two candidates that block most and clear somebody on both legs, or (-1, -1)."""
+    first, second, best = -1, -1, np.inf
+    one = np.uint64(1)
+    for i in range(len(allowed)):
+        for j in range(i):
+            if not allowed[i, j]:
+                continue
+            if not ((blocks[0][i, 0] | blocks[0][j, 0] | blocks[1][i, 0] | blocks[1][j, 0]) & one):
+                continue
+            left = 1.0
+            for leg in range(2):
+                either, both = 0, 0
+                for w in range(blocks[leg].shape[1]):
+                    either += np.int64(kernels.ones(blocks[leg][i, w] | blocks[leg][j, w]))
+                    both += np.int64(kernels.ones(blocks[leg][i, w] & blocks[leg][j, w]))
+                left *= counts[leg] - (1.0 - repeated) * (either + repeated * both)
+            if left >= best:
+                continue
+            if _common(clears[0][i], clears[0][j]) and _common(clears[1][i], clears[1][j]):
+                first, second, best = i, j, left
+    return first, second
+
+
+def choose_on_legs(
+    rows: FloatArray,
+    families: tuple[LegFamily, LegFamily],
+    able: tuple[BoolArray, BoolArray],
+    specification: DifficultySpecification,
+) -> list[int] | None:
+    """Choose obstacles that leave few ways free, but one clear on each leg.
+
+    The first two are the best of all pairs of the most blocking candidates; each further one adds
+    most. A proposal that is blocked already still counts a little, so that its neighbours, which
+    were not drawn, are blocked too.
+
+    Args:
+        rows: (C, 9) candidates.
+        families: of the legs.
+        able: (N,) for each leg, which members may serve as witness.
+        specification: how many to choose, at what clearance, and how many of them on the table.
+
+    Returns:
+        Indices of the chosen; None if nobody would be left clear.
+    """
+    blocks = [family.blocks(rows) for family in families]
+    clears = [
+        family.clears(rows, specification.clearance) & may
+        for family, may in zip(families, able, strict=True)
+    ]
+    free = [int(family.free.sum()) for family in families]
+    left = np.prod([n - b.sum(axis=1) for n, b in zip(free, blocks, strict=True)], axis=0)
+    usable = np.flatnonzero(clears[0].any(axis=1) & clears[1].any(axis=1))
+    order = usable[np.argsort(left[usable], kind="stable")][:_COMPARED]
+    blocks, clears = [b[order] for b in blocks], [c[order] for c in clears]
+    few, standing = rows[order], rows[order, 3] == rows[order, 8]
+    first, second = _best_pair(
+        (kernels.packed(blocks[0][:_PAIRED]), kernels.packed(blocks[1][:_PAIRED])),
+        (free[0], free[1]),
+        (kernels.packed(clears[0][:_PAIRED]), kernels.packed(clears[1][:_PAIRED])),
+        apart(few[:_PAIRED], few[:_PAIRED]),
+        REPEATED,
+    )
+    if first < 0:
+        return None
+    chosen = [first, second]
+    while len(chosen) < specification.obstacles:
+        left = np.ones(len(order))
+        allowed = apart(few, few[chosen]).all(axis=1)
+        if len(chosen) >= specification.obstacles - specification.on_table:
+            allowed &= standing
+        for block, clear, family in zip(blocks, clears, families, strict=True):
+            weight = np.where(family.free, REPEATED ** block[chosen].sum(axis=0), 0.0)
+            left *= weight.sum() - (1.0 - REPEATED) * (block * weight).sum(axis=1)
+            allowed &= (clear & clear[chosen].all(axis=0)).any(axis=1)
+        if not allowed.any():
+            return None
+        chosen.append(int(np.argmin(np.where(allowed, left, np.inf))))
+    return [int(index) for index in order[chosen]]
