@@ -6,6 +6,8 @@ legs, and that is what is made small. A witness is needed on each leg.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from smp_gym.sampling.legs import LegFamily
 from smp_gym.sampling.obstacles import BASE_DISTANCE, REPEATED, apart, draw_rows
 from smp_gym.sampling.specification import DifficultySpecification
 
-__all__ = ["choose_on_legs", "draw_on_legs"]
+__all__ = ["LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -25,7 +27,9 @@ _HAND_LINK = 5
 _CANDIDATES = 500
 _COMPARED = 240
 _PAIRED = 100
-"""How many candidates are drawn, how many of the most blocking are compared, how many in pairs."""
+_SPARE = 3
+"""How many candidates are drawn, how many of the most blocking are compared, how many in pairs; and
+how many members have to be clear of all chosen: the grid is coarse, not all of them will be."""
 
 
 def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> FloatArray:
@@ -45,11 +49,12 @@ def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator
 
 
 @njit(cache=True)
-def _common(a: Words, b: Words) -> bool:
+def _common(a: Words, b: Words) -> int:
+    """Return how many bits are set in both."""
+    count = 0
     for w in range(len(a)):
-        if a[w] & b[w]:
-            return True
-    return False
+        count += np.int64(kernels.ones(a[w] & b[w]))
+    return count
 
 
 @njit(cache=True)
@@ -59,8 +64,9 @@ def _best_pair(
     clears: tuple[Words, Words],
     allowed: BoolArray,
     repeated: float,
+    spare: int,
 ) -> tuple[int, int]:
-    """Return the two candidates that block most and clear somebody on both legs, or (-1, -1)."""
+    """Return the two candidates that block most and clear `spare` on both legs, or (-1, -1)."""
     first, second, best = -1, -1, np.inf
     one = np.uint64(1)
     for i in range(len(allowed)):
@@ -78,63 +84,94 @@ def _best_pair(
                 left *= counts[leg] - (1.0 - repeated) * (either + repeated * both)
             if left >= best:
                 continue
-            if _common(clears[0][i], clears[0][j]) and _common(clears[1][i], clears[1][j]):
+            if (
+                _common(clears[0][i], clears[0][j]) >= spare
+                and _common(clears[1][i], clears[1][j]) >= spare
+            ):
                 first, second, best = i, j, left
     return first, second
 
 
+@dataclass(frozen=True, eq=False)
+class LegCandidates:
+    """Candidates, the most blocking first, as far as they leave somebody clear on both legs.
+
+    Attributes:
+        rows: (C, 9).
+        blocks: (C, P) for each leg, which proposals that the table leaves free each blocks.
+        clears: (C, N) for each leg, from which able members each keeps its clearance.
+        free: how many proposals the table leaves free, on each leg.
+    """
+
+    rows: FloatArray
+    blocks: tuple[BoolArray, BoolArray]
+    clears: tuple[BoolArray, BoolArray]
+    free: tuple[int, int]
+
+
+def compare_on_legs(
+    rows: FloatArray, families: tuple[LegFamily, LegFamily], clearance: float
+) -> LegCandidates:
+    """Return how candidates (C, 9) compare on two legs, the most blocking of them."""
+    blocks = [family.blocks(rows) for family in families]
+    clears = [family.clears(rows, clearance) for family in families]
+    free = [int(family.free.sum()) for family in families]
+    left = np.prod([n - b.sum(axis=1) for n, b in zip(free, blocks, strict=True)], axis=0)
+    enough = [clear.sum(axis=1) >= _SPARE for clear in clears]
+    usable = np.flatnonzero(enough[0] & enough[1])
+    order = usable[np.argsort(left[usable], kind="stable")][:_COMPARED]
+    return LegCandidates(
+        rows=rows[order],
+        blocks=(blocks[0][order], blocks[1][order]),
+        clears=(clears[0][order], clears[1][order]),
+        free=(free[0], free[1]),
+    )
+
+
 def choose_on_legs(
-    rows: FloatArray,
-    families: tuple[LegFamily, LegFamily],
+    candidates: LegCandidates,
     able: tuple[BoolArray, BoolArray],
     specification: DifficultySpecification,
 ) -> list[int] | None:
-    """Choose obstacles that leave few ways free, but one clear on each leg.
+    """Choose obstacles that leave few ways free, but some clear on each leg.
 
     The first two are the best of all pairs of the most blocking candidates; each further one adds
     most. A proposal that is blocked already still counts a little, so that its neighbours, which
     were not drawn, are blocked too.
 
     Args:
-        rows: (C, 9) candidates.
-        families: of the legs.
+        candidates: to choose from.
         able: (N,) for each leg, which members may serve as witness.
-        specification: how many to choose, at what clearance, and how many of them on the table.
+        specification: how many to choose, and how many of them on the table.
 
     Returns:
-        Indices of the chosen; None if nobody would be left clear.
+        Indices of the chosen; None if too few would be left clear.
     """
-    blocks = [family.blocks(rows) for family in families]
-    clears = [
-        family.clears(rows, specification.clearance) & may
-        for family, may in zip(families, able, strict=True)
-    ]
-    free = [int(family.free.sum()) for family in families]
-    left = np.prod([n - b.sum(axis=1) for n, b in zip(free, blocks, strict=True)], axis=0)
-    usable = np.flatnonzero(clears[0].any(axis=1) & clears[1].any(axis=1))
-    order = usable[np.argsort(left[usable], kind="stable")][:_COMPARED]
-    blocks, clears = [b[order] for b in blocks], [c[order] for c in clears]
-    few, standing = rows[order], rows[order, 3] == rows[order, 8]
+    rows, blocks = candidates.rows, candidates.blocks
+    clears = [clear & may for clear, may in zip(candidates.clears, able, strict=True)]
+    standing = rows[:, 3] == rows[:, 8]
     first, second = _best_pair(
         (kernels.packed(blocks[0][:_PAIRED]), kernels.packed(blocks[1][:_PAIRED])),
-        (free[0], free[1]),
+        candidates.free,
         (kernels.packed(clears[0][:_PAIRED]), kernels.packed(clears[1][:_PAIRED])),
-        apart(few[:_PAIRED], few[:_PAIRED]),
+        apart(rows[:_PAIRED], rows[:_PAIRED]),
         REPEATED,
+        _SPARE,
     )
     if first < 0:
         return None
     chosen = [first, second]
     while len(chosen) < specification.obstacles:
-        left = np.ones(len(order))
-        allowed = apart(few, few[chosen]).all(axis=1)
+        left = np.ones(len(rows))
+        allowed = apart(rows, rows[chosen]).all(axis=1)
         if len(chosen) >= specification.obstacles - specification.on_table:
             allowed &= standing
-        for block, clear, family in zip(blocks, clears, families, strict=True):
-            weight = np.where(family.free, REPEATED ** block[chosen].sum(axis=0), 0.0)
+        for block, clear in zip(blocks, clears, strict=True):
+            # Proposals that the table does not leave free are blocked by none, and count for all.
+            weight = REPEATED ** block[chosen].sum(axis=0)
             left *= weight.sum() - (1.0 - REPEATED) * (block * weight).sum(axis=1)
-            allowed &= (clear & clear[chosen].all(axis=0)).any(axis=1)
+            allowed &= (clear & clear[chosen].all(axis=0)).sum(axis=1) >= _SPARE
         if not allowed.any():
             return None
         chosen.append(int(np.argmin(np.where(allowed, left, np.inf))))
-    return [int(index) for index in order[chosen]]
+    return chosen

@@ -21,7 +21,9 @@ __all__ = [
     "BLOCKING_DEPTH",
     "Leg",
     "LegFamily",
-    "draw_variations",
+    "Members",
+    "draw_detours",
+    "free_paths",
     "left_free",
     "make_family",
 ]
@@ -38,13 +40,36 @@ Value and slope vanish at both ends."""
 
 
 @dataclass(frozen=True, eq=False)
+class Members:
+    """Trajectories on a leg: demonstrations carried to other ends, with detours.
+
+    Attributes:
+        begin: (6,) rad.
+        ends: (M, 6) rad.
+        base: (M,) which demonstration each is; -1 for their mean.
+        detours: (M, K, 6) rad, how far along each of the modes.
+    """
+
+    begin: FloatArray
+    ends: FloatArray
+    base: NDArray[np.int64]
+    detours: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    def __getitem__(self, which: slice) -> Members:
+        return Members(self.begin, self.ends[which], self.base[which], self.detours[which])
+
+
+@dataclass(frozen=True, eq=False)
 class Leg(Body):
     """A leg of the demonstrated movements, and the body that moves on it.
 
     Attributes:
         demonstrations: (N, T, 6) rad, at the samples of a witness.
         steps: how many steps of theirs make a whole way.
-        stride: every so many samples one is compared by.
+        stride: every so many samples is one that members are compared by; divides T - 1.
         outline: index of the spheres that candidates are compared by; few, but all of the shape.
     """
 
@@ -52,42 +77,25 @@ class Leg(Body):
     stride: int
     outline: NDArray[np.int64]
 
-    def trajectories(
-        self, begin: FloatArray, ends: FloatArray, base: NDArray[np.int64], detours: FloatArray
-    ) -> FloatArray:
-        """Return demonstrations, (M, T, 6) rad, carried to other ends, with detours.
-
-        Args:
-            begin: (6,) rad.
-            ends: (M, 6) rad.
-            base: (M,) which demonstration each is; -1 for their mean.
-            detours: (M, K, 6) rad, how far along each of the modes.
-        """
-        shown = np.concatenate([self.demonstrations, self.demonstrations.mean(0, keepdims=True)])
-        share = np.linspace(0.0, 1.0, shown.shape[1])
-        blend = smoothstep(share)[:, None]
-        carried = shown + (1.0 - blend) * (begin - shown[:, 0])[:, None] - blend * shown[:, -1:]
-        order = np.arange(1, detours.shape[1] + 1)
-        modes = np.sin(np.pi * share)[:, None] * np.sin(np.pi * share[:, None] * order)
+    def trajectories(self, members: Members, stride: int = 1) -> FloatArray:
+        """Return trajectories (M, T, 6) rad, at every `stride`-th of the samples."""
+        mean = self.demonstrations.mean(axis=0, keepdims=True)
+        share = np.linspace(0.0, 1.0, mean.shape[1])
+        blend = smoothstep(share)[::stride, None]
+        order = np.arange(1, members.detours.shape[1] + 1)
+        modes = (np.sin(np.pi * share) * np.sin(np.pi * share * order[:, None])).T[::stride]
         modes[-1] = 0.0
-        result: FloatArray = carried[base] + blend * ends[:, None]
-        result += np.einsum("tk,mkj->mtj", modes, detours)
+        shown = np.concatenate([self.demonstrations, mean])[:, ::stride]
+        carried = shown + (1.0 - blend) * (members.begin - shown[:, :1]) - blend * shown[:, -1:]
+        result: FloatArray = carried[members.base]
+        result += blend * members.ends[:, None]
+        result += np.einsum("tk,mkj->mtj", modes, members.detours)
         return result
 
 
-def draw_variations(
-    count: int, widths: tuple[float, float], rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Return random detours (M, K, 6) rad and shifts of the end (M, 6), in units of their width.
-
-    Args:
-        count: M.
-        widths: rad, least and greatest standard deviation of a detour at the middle of a leg.
-        rng: source of all randomness.
-    """
-    width = rng.uniform(*widths, size=(count, 1, 1))
-    numbers = rng.standard_normal((count, len(_MODES) + 1, 6))
-    return width * np.array(_MODES)[:, None] * numbers[:, :-1], numbers[:, -1]
+def draw_detours(count: int, rng: np.random.Generator) -> FloatArray:
+    """Return random detours (count, K, 6), of standard deviation about 1 at the middle of a leg."""
+    return np.array(_MODES)[:, None] * rng.standard_normal((count, len(_MODES), 6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +104,16 @@ class LegFamily:
 
     Attributes:
         leg: on which they are.
-        trajectories: (N, T, 6) rad, the first of them the mean of the proposals.
-        proposals: how many, from the first, a primitive would propose.
-        paths: (N, U, S, 3) m, centres of the outline's spheres at some of the samples.
+        members: N, the first of them the mean of the proposals.
+        proposals: P, how many, from the first, a primitive would propose.
+        paths: (N, U, S, 3) m, centres of the outline's spheres at every `leg.stride`-th sample.
         grid: which members sweep over which grid points.
         free: (P,) which proposals the table leaves free.
         able: (N,) which members may serve as witness, as far as seen from these samples.
     """
 
     leg: Leg
-    trajectories: FloatArray
+    members: Members
     proposals: int
     paths: FloatArray
     grid: NDArray[np.uint64]
@@ -121,34 +129,42 @@ class LegFamily:
         return ~near(self.grid, rows, clearance + GRID_SLACK, len(self.able)) & self.able
 
 
-def make_family(leg: Leg, trajectories: FloatArray, proposals: int) -> LegFamily:
-    """Return a family of (N, T, 6) trajectories, the first `proposals` of which are such."""
-    coarse = np.ascontiguousarray(trajectories[:, :: leg.stride])
-    paths = leg.paths(coarse, leg.outline)
-    radius = leg.spheres.radius[leg.outline]
-    grounded = np.isin(leg.outline, leg.moving)
-    height = (paths[..., grounded, 2] - radius[grounded]).min(axis=(1, 2))
+def make_family(leg: Leg, members: Members, proposals: int) -> LegFamily:
+    """Return a family of members, the first `proposals` of which a primitive would propose."""
+    trajectories = leg.trajectories(members, leg.stride)
+    paths = leg.paths(trajectories, leg.outline)
+    height = _height(leg, paths, leg.outline)
     return LegFamily(
         leg=leg,
-        trajectories=trajectories,
+        members=members,
         proposals=proposals,
         paths=paths,
-        grid=rasterise(paths, radius),
+        grid=rasterise(paths, leg.spheres.radius[leg.outline]),
         free=height[:proposals] > -BLOCKING_DEPTH,
-        able=within_limits(coarse, leg.steps / leg.stride) & (height > FIXTURE_CLEARANCE),
+        able=within_limits(trajectories, leg.steps / leg.stride) & (height > FIXTURE_CLEARANCE),
     )
 
 
-def left_free(leg: Leg, trajectories: FloatArray, rows: FloatArray) -> BoolArray:
-    """Return which of those (N, T, 6) trajectories that the table leaves free obstacles do, too.
+def free_paths(leg: Leg, members: Members) -> FloatArray:
+    """Return the paths (N, U, S, 3) m of all spheres of those members that the table leaves free."""
+    paths = leg.paths(leg.trajectories(members, leg.stride), leg.swept)
+    return np.ascontiguousarray(paths[_height(leg, paths, leg.swept) > -BLOCKING_DEPTH])
 
-    Checked without the grid, with all spheres, at every `leg.stride`-th sample.
-    """
-    paths = leg.paths(np.ascontiguousarray(trajectories[:, :: leg.stride]), leg.swept)
+
+def left_free(leg: Leg, paths: FloatArray, rows: FloatArray) -> BoolArray:
+    """Return which paths, from `free_paths`, obstacles leave free, (N,), without the grid."""
     radius = leg.spheres.radius[leg.swept]
-    grounded = np.isin(leg.swept, leg.moving)
-    height = (paths[..., grounded, 2] - radius[grounded]).min(axis=(1, 2))
     steps = kernels.longest_steps(paths)
-    blocked = kernels.blocked_paths(paths, radius, steps, rows, BLOCKING_DEPTH).any(axis=0)
-    free: BoolArray = ~blocked[height > -BLOCKING_DEPTH]
-    return free
+    blocked: BoolArray = kernels.blocked_paths(paths, radius, steps, rows, BLOCKING_DEPTH).any(
+        axis=0
+    )
+    return ~blocked
+
+
+def _height(leg: Leg, paths: FloatArray, which: NDArray[np.int64]) -> FloatArray:
+    """Return the least height of the given spheres over the table, (N,) m."""
+    grounded = np.isin(which, leg.moving)
+    height: FloatArray = (paths[..., grounded, 2] - leg.spheres.radius[which][grounded]).min(
+        axis=(1, 2)
+    )
+    return height

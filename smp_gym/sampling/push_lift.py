@@ -20,11 +20,13 @@ from smp_gym.sampling.body import Body
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.detours import smoothstep
 from smp_gym.sampling.inverse_kernels import reach_points, reach_pose
-from smp_gym.sampling.leg_obstacles import choose_on_legs, draw_on_legs
+from smp_gym.sampling.leg_obstacles import choose_on_legs, compare_on_legs, draw_on_legs
 from smp_gym.sampling.legs import (
     Leg,
     LegFamily,
-    draw_variations,
+    Members,
+    draw_detours,
+    free_paths,
     left_free,
     make_family,
 )
@@ -46,8 +48,9 @@ _FREE_SHARES = {"none": 1.0, "easy": 0.10, "medium": 0.03, "hard": 0.005}
 _PROPOSALS = 48
 _TRIALS = 48
 _WIDE = 64
+_ALONE = 8
 """Members of a leg: that obstacles are chosen by, fresh ones that the choice is tried on, and wider
-ones that may serve as witness."""
+ones that may serve as witness; and members where there are no obstacles."""
 
 _PROPOSED_WIDTHS = (0.02, 0.08)
 _WIDE_WIDTHS = (0.05, 0.25)
@@ -219,24 +222,30 @@ class _Episode:
     goal: Goal
 
     def members(
-        self, count: int, widths: tuple[float, float], shift: float, rng: np.random.Generator
-    ) -> list[FloatArray]:
-        """Return random members (count, T, 6) of approach and lift, the means of both first."""
+        self, proposals: int, wide: int, rng: np.random.Generator
+    ) -> list[Members]:
+        """Return random members of approach and lift, the means of both first."""
         movement = _movement()
+        count = proposals + wide
+        widths = np.empty((count, 1, 1))
+        widths[:proposals, 0, 0] = rng.uniform(*_PROPOSED_WIDTHS, size=proposals)
+        widths[proposals:, 0, 0] = rng.uniform(*_WIDE_WIDTHS, size=wide)
+        shift = np.where(np.arange(count) < proposals, _PROPOSED_SHIFT, _WIDE_SHIFT)[:, None]
         ends = np.tile(self.push[0], (count, 1))
         members = []
         for leg, begin in ((movement.approach, self.start), (movement.lift, self.push[-1])):
             base = rng.integers(len(leg.demonstrations), size=count)
-            detours, shifts = draw_variations(count, widths, rng)
+            detours = widths * draw_detours(count, rng)
+            shifts = shift * rng.standard_normal((count, 6))
             base[0], detours[0], shifts[0] = -1, 0.0, 0.0
             if leg is movement.lift:
                 shown = leg.demonstrations[:, -1].mean(axis=0)
                 place = np.asarray(self.goal.position)
-                ends = reach_points(place, movement.held, shown + shift * shifts)
+                ends = reach_points(place, movement.held, shown + shifts)
                 ends = np.where(np.isnan(ends), ends[0], ends)
                 if np.isnan(ends[0]).any():
                     raise kinematics.UnreachableError(f"no lift to {place} is near the shown ones")
-            members.append(leg.trajectories(begin, ends, base, detours))
+            members.append(Members(begin, ends, base, detours))
         return members
 
     def families(
@@ -244,9 +253,7 @@ class _Episode:
     ) -> tuple[LegFamily, LegFamily]:
         """Draw families of approaches and lifts."""
         movement = _movement()
-        proposed = self.members(proposals, _PROPOSED_WIDTHS, _PROPOSED_SHIFT, rng)
-        wider = self.members(wide, _WIDE_WIDTHS, _WIDE_SHIFT, rng)
-        approach, lift = (np.concatenate(both) for both in zip(proposed, wider, strict=True))
+        approach, lift = self.members(proposals, wide, rng)
         return (
             make_family(movement.approach, approach, proposals),
             make_family(movement.lift, lift, proposals),
@@ -277,13 +284,12 @@ class _Episode:
             rows = rows[kernels.path_clearances(path, of, rows, enough) >= enough]
         return rows
 
-    def leaves_free(self, rows: FloatArray, rng: np.random.Generator) -> tuple[bool, float]:
-        """Return whether obstacles leave the mean way free, and the share of fresh ways they do."""
+    def trials(self, rng: np.random.Generator) -> list[FloatArray]:
+        """Return paths of fresh proposals on both legs, their means first."""
         movement = _movement()
-        trials = self.members(_TRIALS, _PROPOSED_WIDTHS, _PROPOSED_SHIFT, rng)
+        members = self.members(_TRIALS, 0, rng)
         legs = (movement.approach, movement.lift)
-        free = [left_free(leg, ways, rows) for leg, ways in zip(legs, trials, strict=True)]
-        return bool(free[0][0] and free[1][0]), float(free[0].mean() * free[1].mean())
+        return [free_paths(leg, of_leg) for leg, of_leg in zip(legs, members, strict=True)]
 
     def witness(
         self,
@@ -305,7 +311,7 @@ class _Episode:
         ):
             leg = family.leg
             for index in np.flatnonzero(may):
-                way = family.trajectories[index]
+                way = leg.trajectories(family.members[index : index + 1])[0]
                 if is_witness(leg, way, bodies, rows, clearance, leg.steps):
                     parts.append(way)
                     break
@@ -322,44 +328,53 @@ def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
     specification = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
     try:
         episode = _Episode(start, box, _push(_movement(), box), goal)
-        families = episode.families(_PROPOSALS, _WIDE, rng)
+        crowd = specification.obstacles > 0
+        families = episode.families(*((_PROPOSALS, _WIDE) if crowd else (_ALONE, 0)), rng)
     except kinematics.UnreachableError:
         return None
-    sets = _CANDIDATE_SETS if specification.obstacles else 1
-    for _ in range(sets):
-        rows, witness = _place(episode, families, specification, rng)
-        if witness is not None:
-            return Draw(start, (goal,), rows, witness, box)
+    if not (families[0].free[0] and families[1].free[0]):
+        return None
+    none = np.empty((0, kernels.OBSTACLE_COLUMNS))
+    if not specification.obstacles:
+        witness = episode.witness(families, [family.able for family in families], none, 0.0)
+        return None if witness is None else Draw(start, (goal,), none, witness, box)
+    trials = episode.trials(rng)
+    for _ in range(_CANDIDATE_SETS):
+        drawn = _place(episode, families, trials, specification, rng)
+        if drawn is not None:
+            return drawn
     return None
 
 
 def _place(
     episode: _Episode,
     families: tuple[LegFamily, LegFamily],
+    trials: list[FloatArray],
     specification: DifficultySpecification,
     rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray | None]:
-    """Return obstacles and a witness; None if too much is free or nothing."""
-    able = [families[0].able.copy(), families[1].able.copy()]
-    none = np.empty((0, kernels.OBSTACLE_COLUMNS))
-    if not specification.obstacles:
-        return none, episode.witness(families, able, none, 0.0)
+) -> Draw | None:
+    """Draw obstacles and find a witness; None if too many ways are free or none."""
+    movement = _movement()
     rows = episode.candidates(families, specification, rng)
+    able = (families[0].able.copy(), families[1].able.copy())
+    candidates = compare_on_legs(rows, families, specification.clearance)
     for _ in range(_MAX_CHOICES):
-        choice = choose_on_legs(rows, families, (able[0], able[1]), specification)
+        choice = choose_on_legs(candidates, able, specification)
         if choice is None:
-            return none, None
-        chosen = rows[choice]
-        mean_free, share = episode.leaves_free(chosen, rng)
-        if mean_free or share > specification.free_share:
-            return none, None
+            return None
+        chosen = candidates.rows[choice]
+        approach = left_free(movement.approach, trials[0], chosen)
+        lift = left_free(movement.lift, trials[1], chosen)
+        mean_free = approach[0] and lift[0]
+        if mean_free or approach.mean() * lift.mean() > specification.free_share:
+            return None
         alive = [
-            may & family.clears(chosen, specification.clearance).all(axis=0)
-            for family, may in zip(families, able, strict=True)
+            may & clear[choice].all(axis=0)
+            for may, clear in zip(able, candidates.clears, strict=True)
         ]
         witness = episode.witness(families, alive, chosen, specification.clearance)
         if witness is not None:
-            return chosen, witness
+            return Draw(episode.start, (episode.goal,), chosen, witness, episode.box)
         for may, tried in zip(able, alive, strict=True):
             may &= ~tried
-    return none, None
+    return None
