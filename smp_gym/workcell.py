@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from smp_gym import assets
 from smp_gym.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
 from smp_gym.kinematics import LINKS, PEN_RADIUS
+from smp_gym.lines import Line, wire_box
 from smp_gym.observation import CONTROL_PERIOD, ObjectState, RobotState
 from smp_gym.scene import TABLE, ManipulatedObject, Obstacle, Scene, goal_bodies, goal_boxes
 from smp_gym.tasks import Status, Task
@@ -30,6 +31,10 @@ FloatArray = NDArray[np.float64]
 _TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
 _GOAL_COLORS = {"bin": (0.30, 0.45, 0.62, 1.0), "pad": (0.36, 0.60, 0.42, 1.0)}
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
+_TRACE_COLOR = (0.11, 0.25, 0.67)
+_TARGET_COLOR = (0.0, 0.55, 0.25)
+_TRACE_WIDTH = 0.008
+_TARGET_WIDTH = 0.004
 _ORIGIN = (0.0, 0.0, 0.0)
 # Where bodies of goals wait, so deep and so far apart that they are near nothing.
 _PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
@@ -132,12 +137,23 @@ class Workcell:
         self._pen = manipulated is None
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
         self.trace: list[FloatArray] = []
+        self._targets = [
+            Line(wire_box(goal.position, self._size), _TARGET_COLOR, _TARGET_WIDTH)
+            for goal in scene.goals
+            if goal.kind == "lift"
+        ]
         self._calm_steps = 0
         self._squeezing = True
         self._contacts: set[Contact] = set()
         if self._collides():
             raise ValueError(f"the scene begins with a collision: {self.collision}")
         self._measure()
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """What is seen but has no body: the pen's trace, and where a lifted object shall be."""
+        trace = Line(np.array(self.trace).reshape(-1, 3), _TRACE_COLOR, _TRACE_WIDTH)
+        return (trace, *self._targets)
 
     def _disperse(self, scene: Scene) -> None:
         """Exchange the obstacles and take all bodies apart.
