@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from smp_gym.sampling import kernels
+from smp_gym.sampling.bits import ones, packed
+from smp_gym.sampling.choice import REPEATED, apart
 from smp_gym.sampling.legs import LegFamily
-from smp_gym.sampling.obstacles import BASE_DISTANCE, REPEATED, apart, draw_rows
+from smp_gym.sampling.obstacles import BASE_DISTANCE, draw_rows
 from smp_gym.sampling.specification import DifficultySpecification
 
 __all__ = ["LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
@@ -53,7 +54,7 @@ def _common(a: Words, b: Words) -> int:
     """Return how many bits are set in both."""
     count = 0
     for w in range(len(a)):
-        count += np.int64(kernels.ones(a[w] & b[w]))
+        count += ones(a[w] & b[w])
     return count
 
 
@@ -79,8 +80,8 @@ def _best_pair(
             for leg in range(2):
                 either, both = 0, 0
                 for w in range(blocks[leg].shape[1]):
-                    either += np.int64(kernels.ones(blocks[leg][i, w] | blocks[leg][j, w]))
-                    both += np.int64(kernels.ones(blocks[leg][i, w] & blocks[leg][j, w]))
+                    either += ones(blocks[leg][i, w] | blocks[leg][j, w])
+                    both += ones(blocks[leg][i, w] & blocks[leg][j, w])
                 left *= counts[leg] - (1.0 - repeated) * (either + repeated * both)
             if left >= best:
                 continue
@@ -151,9 +152,9 @@ def choose_on_legs(
     clears = [clear & may for clear, may in zip(candidates.clears, able, strict=True)]
     standing = rows[:, 3] == rows[:, 8]
     first, second = _best_pair(
-        (kernels.packed(blocks[0][:_PAIRED]), kernels.packed(blocks[1][:_PAIRED])),
+        (packed(blocks[0][:_PAIRED]), packed(blocks[1][:_PAIRED])),
         candidates.free,
-        (kernels.packed(clears[0][:_PAIRED]), kernels.packed(clears[1][:_PAIRED])),
+        (packed(clears[0][:_PAIRED]), packed(clears[1][:_PAIRED])),
         apart(rows[:_PAIRED], rows[:_PAIRED]),
         REPEATED,
         _SPARE,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
 from smp_gym.sampling.detours import smoothstep
-from smp_gym.sampling.grid import GRID_SLACK, near, rasterise
+from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, within_limits
 
 __all__ = [
@@ -116,7 +116,7 @@ class LegFamily:
     members: Members
     proposals: int
     paths: FloatArray
-    grid: NDArray[np.uint64]
+    grid: Grid
     free: BoolArray
     able: BoolArray
 
@@ -126,7 +126,7 @@ class LegFamily:
 
     def clears(self, rows: FloatArray, clearance: float) -> BoolArray:
         """Return (C, N), which obstacles keep a clearance (m) from which able, by the grid."""
-        return ~near(self.grid, rows, clearance + GRID_SLACK, len(self.able)) & self.able
+        return ~near(self.grid, rows, clearance, len(self.able)) & self.able
 
 
 def make_family(leg: Leg, members: Members, proposals: int) -> LegFamily:
@@ -154,17 +154,12 @@ def free_paths(leg: Leg, members: Members) -> FloatArray:
 def left_free(leg: Leg, paths: FloatArray, rows: FloatArray) -> BoolArray:
     """Return which paths, from `free_paths`, obstacles leave free, (N,), without the grid."""
     radius = leg.spheres.radius[leg.swept]
-    steps = kernels.longest_steps(paths)
-    blocked: BoolArray = kernels.blocked_paths(paths, radius, steps, rows, BLOCKING_DEPTH).any(
-        axis=0
-    )
-    return ~blocked
+    free: BoolArray = ~kernels.blocked_paths(paths, radius, rows, BLOCKING_DEPTH)
+    return free
 
 
 def _height(leg: Leg, paths: FloatArray, which: NDArray[np.int64]) -> FloatArray:
     """Return the least height of the given spheres over the table, (N,) m."""
-    grounded = np.isin(which, leg.moving)
-    height: FloatArray = (paths[..., grounded, 2] - leg.spheres.radius[which][grounded]).min(
-        axis=(1, 2)
-    )
+    radius = np.where(np.isin(which, leg.moving), leg.spheres.radius[which], -np.inf)
+    height: FloatArray = kernels.lowest(paths, radius)
     return height

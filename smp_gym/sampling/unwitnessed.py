@@ -16,13 +16,11 @@ from smp_gym import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.carrying import release_configuration
+from smp_gym.sampling.choice import choose
 from smp_gym.sampling.conversion import to_configuration, to_obstacle
 from smp_gym.sampling.family import BLOCKING_DEPTH, PROPOSALS, Family, draw_family
 from smp_gym.sampling.obstacles import (
-    PAIRED_CANDIDATES,
     START_CLEARANCE,
-    apart,
-    choose,
     draw_candidates,
 )
 from smp_gym.sampling.placing import draw_bin, placement_task
@@ -55,12 +53,10 @@ def _choose_obstacles(
     rows = rows[clearance >= START_CLEARANCE]
     depth = -BLOCKING_DEPTH
     blocks = family.near(rows, depth)[:, : family.proposals] & proposed
-    order = np.argsort(-blocks.sum(axis=1), kind="stable")
-    rows, blocks = rows[order], blocks[order]
-    first = rows[:PAIRED_CANDIDATES]
     # One possible witness that nothing comes near.
     clears = np.ones((len(rows), 1), np.bool_)
-    choice = choose(rows, blocks, clears, apart(first, first), specification)
+    already = np.zeros(family.proposals, np.int64)
+    choice = choose(rows, blocks, clears, already, specification)
     if choice is None:
         return None
     free = proposed & ~family.blocked(rows[choice])
