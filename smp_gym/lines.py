@@ -65,9 +65,7 @@ def draw_lines(
             _draw(image, depth, matrix, line)
 
 
-def _draw(
-    image: NDArray[np.uint8], depth: NDArray[Any], matrix: FloatArray, line: Line
-) -> None:
+def _draw(image: NDArray[np.uint8], depth: NDArray[Any], matrix: FloatArray, line: Line) -> None:
     height, width = depth.shape
     ends = np.column_stack([line.points, np.ones(len(line.points))]) @ matrix.T
     share = np.linspace(0.0, 1.0, _SUBDIVISION, endpoint=False)[:, None]

@@ -138,7 +138,7 @@ class Workcell:
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
         self.trace: list[FloatArray] = []
         self._targets = [
-            Line(wire_box(goal.position, self._size), _TARGET_COLOR, _TARGET_WIDTH)
+            Line(wire_box(goal.position, self._size.tolist()), _TARGET_COLOR, _TARGET_WIDTH)
             for goal in scene.goals
             if goal.kind == "lift"
         ]

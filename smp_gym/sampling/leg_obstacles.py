@@ -1,7 +1,7 @@
-"""Obstacles on two legs: candidates near their proposals, and the choice of those that block most.
+"""Obstacles on two legs: candidates near the proposals, and the choice of those that block most.
 
-A way is free where both its legs are, so the share of free ways is the product of the shares of free
-legs, and that is what is made small. A witness is needed on each leg.
+A way is free where both its legs are, so the share of free ways is the product of the shares of
+free legs, and that is what is made small. A witness is needed on each leg.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _HAND_LINK = 5
 _CANDIDATES = 500
 _COMPARED = 240
 _PAIRED = 100
-_SPARE = 3
+_SPARE = 4
 """How many candidates are drawn, how many of the most blocking are compared, how many in pairs; and
 how many members have to be clear of all chosen: the grid is coarse, not all of them will be."""
 
@@ -50,9 +50,9 @@ def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator
 
 
 @njit(cache=True)
-def _common(a: Words, b: Words) -> int:
+def _common(a: Words, b: Words) -> np.int64:
     """Return how many bits are set in both."""
-    count = 0
+    count = np.int64(0)
     for w in range(len(a)):
         count += ones(a[w] & b[w])
     return count
@@ -78,7 +78,7 @@ def _best_pair(
                 continue
             left = 1.0
             for leg in range(2):
-                either, both = 0, 0
+                either, both = np.int64(0), np.int64(0)
                 for w in range(blocks[leg].shape[1]):
                     either += ones(blocks[leg][i, w] | blocks[leg][j, w])
                     both += ones(blocks[leg][i, w] & blocks[leg][j, w])

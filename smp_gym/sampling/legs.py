@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
 from smp_gym.sampling.detours import smoothstep
+from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, within_limits
 
 __all__ = [
-    "BLOCKING_DEPTH",
     "Leg",
     "LegFamily",
     "Members",
@@ -30,9 +30,6 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-BLOCKING_DEPTH = 0.015
-"""m, how deep an obstacle reaches into the covering spheres before a path counts as blocked."""
 
 _MODES = (1.0, 0.5, 0.25)
 """Standard deviations of the modes of a detour: sin(pi s) sin(k pi s) along the leg, s from 0 to 1.
@@ -107,7 +104,7 @@ class LegFamily:
         members: N, the first of them the mean of the proposals.
         proposals: P, how many, from the first, a primitive would propose.
         paths: (N, U, S, 3) m, centres of the outline's spheres at every `leg.stride`-th sample.
-        grid: which members sweep over which grid points.
+        grid: which members pass which grid points.
         free: (P,) which proposals the table leaves free.
         able: (N,) which members may serve as witness, as far as seen from these samples.
     """
@@ -146,7 +143,7 @@ def make_family(leg: Leg, members: Members, proposals: int) -> LegFamily:
 
 
 def free_paths(leg: Leg, members: Members) -> FloatArray:
-    """Return the paths (N, U, S, 3) m of all spheres of those members that the table leaves free."""
+    """Return the paths (N, U, S, 3) m of all spheres of members that the table leaves free."""
     paths = leg.paths(leg.trajectories(members, leg.stride), leg.swept)
     return np.ascontiguousarray(paths[_height(leg, paths, leg.swept) > -BLOCKING_DEPTH])
 

@@ -86,7 +86,7 @@ def draw_rows(points: FloatArray, radius: FloatArray, rng: np.random.Generator) 
         rng: source of all randomness.
     """
     count = len(points)
-    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
+    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES).astype(np.float64)
     size = _sizes(shape, rng.uniform(*HALF_EXTENTS, size=(count, 3)))
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     offset = rng.standard_normal((count, 3))

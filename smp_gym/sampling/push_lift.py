@@ -1,8 +1,8 @@
 """Scenes of PushLiftBox.
 
-Every way leads the hand behind the box, along the push, and with the box to the target. The push is
-given with the box; the *approach* before it and the *lift* after it are legs, whose members combine.
-Obstacles keep clear of the push, and leave few of the ways free, but one whole way as witness.
+Every way leads the hand behind the box, along the push, and with the box to the target. The push
+is given with the box; the *approach* before it and the *lift* after it are legs, whose members
+combine. Obstacles keep clear of the push and leave few of the ways free, but one as witness.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from smp_gym.sampling.legs import (
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.way import Draw
-from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
+from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import TABLE, Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks import push_lift_box
 
@@ -42,7 +42,7 @@ __all__ = ["draw_push_lift"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_FREE_SHARES = {"none": 1.0, "easy": 0.10, "medium": 0.03, "hard": 0.005}
+_FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.05, "hard": 0.01}
 """Which share of the ways may stay free of obstacles."""
 
 _PROPOSALS = 48
@@ -52,7 +52,7 @@ _ALONE = 8
 """Members of a leg: that obstacles are chosen by, fresh ones that the choice is tried on, and wider
 ones that may serve as witness; and members where there are no obstacles."""
 
-_PROPOSED_WIDTHS = (0.02, 0.08)
+_PROPOSED_WIDTHS = (0.02, 0.06)
 _WIDE_WIDTHS = (0.05, 0.25)
 _PROPOSED_SHIFT = 0.05
 _WIDE_SHIFT = 0.15
@@ -221,9 +221,7 @@ class _Episode:
     push: FloatArray
     goal: Goal
 
-    def members(
-        self, proposals: int, wide: int, rng: np.random.Generator
-    ) -> list[Members]:
+    def members(self, proposals: int, wide: int, rng: np.random.Generator) -> list[Members]:
         """Return random members of approach and lift, the means of both first."""
         movement = _movement()
         count = proposals + wide
