@@ -28,7 +28,7 @@ _HAND_LINK = 5
 _CANDIDATES = 500
 _COMPARED = 240
 _PAIRED = 100
-_SPARE = 4
+_SPARE = 5
 """How many candidates are drawn, how many of the most blocking are compared, how many in pairs; and
 how many members have to be clear of all chosen: the grid is coarse, not all of them will be."""
 
