@@ -42,7 +42,7 @@ __all__ = ["draw_push_lift"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.05, "hard": 0.01}
+_FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
 """Which share of the ways may stay free of obstacles."""
 
 _PROPOSALS = 48
@@ -52,7 +52,7 @@ _ALONE = 8
 """Members of a leg: that obstacles are chosen by, fresh ones that the choice is tried on, and wider
 ones that may serve as witness; and members where there are no obstacles."""
 
-_PROPOSED_WIDTHS = (0.02, 0.06)
+_PROPOSED_WIDTHS = (0.02, 0.07)
 _WIDE_WIDTHS = (0.05, 0.25)
 _PROPOSED_SHIFT = 0.05
 _WIDE_SHIFT = 0.15
