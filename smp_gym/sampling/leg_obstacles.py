@@ -18,7 +18,7 @@ from smp_gym.sampling.legs import LegFamily
 from smp_gym.sampling.obstacles import BASE_DISTANCE, draw_rows
 from smp_gym.sampling.specification import DifficultySpecification
 
-__all__ = ["LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
+__all__ = ["SPARE", "LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -28,7 +28,7 @@ _HAND_LINK = 5
 _CANDIDATES = 500
 _COMPARED = 240
 _PAIRED = 100
-_SPARE = 5
+SPARE = 5
 """How many candidates are drawn, how many of the most blocking are compared, how many in pairs; and
 how many members have to be clear of all chosen: the grid is coarse, not all of them will be."""
 
@@ -118,7 +118,7 @@ def compare_on_legs(
     clears = [family.clears(rows, clearance) for family in families]
     free = [int(family.free.sum()) for family in families]
     left = np.prod([n - b.sum(axis=1) for n, b in zip(free, blocks, strict=True)], axis=0)
-    enough = [clear.sum(axis=1) >= _SPARE for clear in clears]
+    enough = [clear.sum(axis=1) >= SPARE for clear in clears]
     usable = np.flatnonzero(enough[0] & enough[1])
     order = usable[np.argsort(left[usable], kind="stable")][:_COMPARED]
     return LegCandidates(
@@ -157,7 +157,7 @@ def choose_on_legs(
         (packed(clears[0][:_PAIRED]), packed(clears[1][:_PAIRED])),
         apart(rows[:_PAIRED], rows[:_PAIRED]),
         REPEATED,
-        _SPARE,
+        SPARE,
     )
     if first < 0:
         return None
@@ -171,7 +171,7 @@ def choose_on_legs(
             # Proposals that the table does not leave free are blocked by none, and count for all.
             weight = REPEATED ** block[chosen].sum(axis=0)
             left *= weight.sum() - (1.0 - REPEATED) * (block * weight).sum(axis=1)
-            allowed &= (clear & clear[chosen].all(axis=0)).sum(axis=1) >= _SPARE
+            allowed &= (clear & clear[chosen].all(axis=0)).sum(axis=1) >= SPARE
         if not allowed.any():
             return None
         chosen.append(int(np.argmin(np.where(allowed, left, np.inf))))

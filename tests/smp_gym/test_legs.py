@@ -10,7 +10,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.sampling import SPECIFICATIONS, sample_with_witness
 from smp_gym.sampling.choice import REPEATED, apart
 from smp_gym.sampling.inverse_kernels import reach_points, reach_pose
-from smp_gym.sampling.leg_obstacles import LegCandidates, choose_on_legs
+from smp_gym.sampling.leg_obstacles import SPARE, LegCandidates, choose_on_legs
 from smp_gym.sampling.legs import Leg, Members
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.tasks.push_lift_box import START_CONFIGURATION, push_poses
@@ -135,7 +135,7 @@ def test_two_obstacles_are_the_best_of_all_pairs():
             for pair in itertools.combinations(range(30), 2)
             if beside[pair]
             and any((block[pair[0]] | block[pair[1]])[0] for block in blocks)
-            and all((clear[pair[0]] & clear[pair[1]]).sum() >= 4 for clear in clears)
+            and all((clear[pair[0]] & clear[pair[1]]).sum() >= SPARE for clear in clears)
         }
         if not worth:
             assert chosen is None
