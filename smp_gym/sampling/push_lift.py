@@ -13,12 +13,12 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.sampling.body import ObjectTask, make_task
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.push import Push
-from smp_gym.sampling.specification import SPECIFICATIONS
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.way import Draw, draw_way
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks import push_lift_box
 
-__all__ = ["draw_push_lift"]
+__all__ = ["draw_lift", "draw_push_lift", "lift_specification"]
 
 FloatArray = NDArray[np.float64]
 
@@ -138,8 +138,10 @@ def _draw_target(rng: np.random.Generator) -> Goal:
     return Goal(kind="lift", position=position)
 
 
-def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
+def draw_lift(
+    rng: np.random.Generator,
+) -> tuple[ObjectTask, ManipulatedObject, Goal] | None:
+    """Draw a start, with the push of a box, that box, and a target; None if it is out of reach."""
     box, goal = _draw_box(rng), _draw_target(rng)
     spread = np.asarray(push_lift_box.START_SPREAD)
     start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
@@ -150,7 +152,19 @@ def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
         task = _with_push(task, nominal.push.phases, nominal.push.spheres, box)
     except kinematics.UnreachableError:
         return None
-    free_share = _FREE_SHARES[difficulty]
-    specification = replace(SPECIFICATIONS[difficulty], free_share=free_share)
-    drawn = draw_way(task, specification, goal, (goal,), rng)
+    return task, box, goal
+
+
+def lift_specification(difficulty: str) -> DifficultySpecification:
+    """Return what a difficulty means for PushLiftBox."""
+    return replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
+
+
+def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
+    lift = draw_lift(rng)
+    if lift is None:
+        return None
+    task, box, goal = lift
+    drawn = draw_way(task, lift_specification(difficulty), goal, (goal,), rng)
     return None if drawn is None else replace(drawn, manipulated=box)

@@ -19,6 +19,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import PEN_TIP
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
+from smp_gym.sampling.choice import REPEATED, apart
 from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row
 from smp_gym.sampling.detours import resample, smoothstep
 from smp_gym.sampling.family import BLOCKING_DEPTH
@@ -26,10 +27,8 @@ from smp_gym.sampling.grid import near, rasterise
 from smp_gym.sampling.obstacles import (
     BASE_DISTANCE,
     HALF_EXTENTS,
-    REPEATED,
     SHAPE_SHARES,
     START_CLEARANCE,
-    apart,
 )
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.sampling.witness import is_witness, within_limits

@@ -45,7 +45,7 @@ def is_witness(
         return False
     path = task.paths(trajectory)
     radius = task.spheres.radius
-    if (kernels.path_clearances(path, radius, rows, 1.0) < clearance).any():
+    if (kernels.path_clearances(path, radius, rows, clearance) < clearance).any():
         return False
     if task.push is not None:
         # Nothing may knock the object over before the push begins.
@@ -55,7 +55,8 @@ def is_witness(
             return False
     # The arm's base stands on the table: only the moving spheres have to keep clear of it.
     moving = np.ascontiguousarray(path[:, task.moving])
-    margins = kernels.path_clearances(moving, radius[task.moving], bodies, 1.0)
-    if (margins < FIXTURE_CLEARANCE).any():
+    enough = FIXTURE_CLEARANCE
+    margins = kernels.path_clearances(moving, radius[task.moving], bodies, enough)
+    if (margins < enough).any():
         return False
-    return bool(kernels.self_clearance(path, radius, task.pairs) >= _SELF_CLEARANCE)
+    return bool(kernels.clear_of_itself(path, radius, task.pairs, _SELF_CLEARANCE))
