@@ -16,14 +16,10 @@ from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
 from smp_gym.scene import Goal, goal_boxes
 
-__all__ = ["BLOCKING_DEPTH", "PROPOSALS", "Family", "draw_family", "member"]
+__all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-
-PROPOSALS = 104
-"""Detours of ordinary width."""
 
 
 BLOCKING_DEPTH = 0.015
@@ -62,7 +58,7 @@ class Family:
         return near(self.grid, rows, distance, len(self.paths))
 
     def blocked(self, rows: FloatArray) -> BoolArray:
-        """Return which proposals obstacles block, (P,), checked without the grid."""
+        """Return (C, P), which proposals each obstacle blocks, checked without the grid."""
         paths = self.paths[: self.proposals]
         return kernels.blocked_paths(paths, self.radius, rows, BLOCKING_DEPTH)
 
@@ -102,14 +98,15 @@ def draw_family(
     # The bin counts as solid here.
     solids = np.array([to_solid_row(goal) for goal in goals if goal_boxes(goal)])
     solids = solids.reshape(-1, kernels.OBSTACLE_COLUMNS)
-
-    def clear(distance: float) -> BoolArray:
-        return ~kernels.blocked_paths(paths, radius, solids, -distance) & (height > distance)
-
-    able = clear(FIXTURE_CLEARANCE) & within_limits(trajectories)
+    clearance = np.minimum(
+        height, kernels.least_clearances(paths, radius, solids, 1.1 * FIXTURE_CLEARANCE)
+    )
+    able = (clearance >= FIXTURE_CLEARANCE) & within_limits(trajectories)
     if task.push is not None:
         approach = paths[:, : int(task.push.phases[0] * (task.samples - 1)) + 1]
-        able &= ~kernels.blocked_paths(approach, radius, task.push.object_row, -FIXTURE_CLEARANCE)
+        able &= ~kernels.blocked_paths(approach, radius, task.push.object_row, -FIXTURE_CLEARANCE)[
+            0
+        ]
     return Family(
         configuration=configuration,
         base=base,
@@ -118,7 +115,7 @@ def draw_family(
         radius=radius,
         grid=rasterise(paths, radius),
         proposals=1 + demonstrations + proposals,
-        free=clear(-BLOCKING_DEPTH),
+        free=clearance > -BLOCKING_DEPTH,
         able=able,
     )
 

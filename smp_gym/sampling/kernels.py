@@ -17,6 +17,7 @@ __all__ = [
     "OBSTACLE_COLUMNS",
     "blocked_paths",
     "clear_of_itself",
+    "least_clearances",
     "lowest",
     "path_clearances",
     "point_distance",
@@ -176,7 +177,7 @@ def _blocked(centers: Array, radius: Array, obstacle: Array, depth: float) -> bo
 def blocked_paths(
     centers: Array, radius: Array, obstacles: Array, depth: float
 ) -> NDArray[np.bool_]:
-    """Return which paths are blocked by any of the obstacles.
+    """Return which paths each obstacle blocks.
 
     Args:
         centers: (N, T, S, 3).
@@ -187,14 +188,29 @@ def blocked_paths(
             already from that far away.
 
     Returns:
-        (N,).
+        (M, N).
     """
-    out = np.zeros(len(centers), np.bool_)
+    out = np.zeros((len(obstacles), len(centers)), np.bool_)
+    for m in range(len(obstacles)):
+        for n in range(len(centers)):
+            out[m, n] = _blocked(centers[n], radius, obstacles[m], depth)
+    return out
+
+
+@njit(cache=True)
+def least_clearances(centers: Array, radius: Array, obstacles: Array, enough: float) -> Array:
+    """Return the least distance of each path's spheres to any obstacle, (N,).
+
+    Args:
+        centers: (N, T, S, 3).
+        radius: (S,).
+        obstacles: (M, 9) rows.
+        enough: greater distances are given as this.
+    """
+    out = np.full(len(centers), enough)
     for n in range(len(centers)):
-        for m in range(len(obstacles)):
-            if _blocked(centers[n], radius, obstacles[m], depth):
-                out[n] = True
-                break
+        for clearance in path_clearances(centers[n], radius, obstacles, enough):
+            out[n] = min(out[n], clearance)
     return out
 
 

@@ -44,7 +44,7 @@ def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator
         sphere = spheres[rng.integers(len(spheres), size=count)]
         points.append(family.paths[member, sample, sphere])
         reach.append(family.leg.spheres.radius[family.leg.outline[sphere]])
-    rows = draw_rows(np.concatenate(points), np.concatenate(reach), rng)
+    rows = draw_rows(np.concatenate(points), np.concatenate(reach), 1.0, rng)
     fits = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
     return rows[fits & (rows[:, 3] >= rows[:, 8])]
 

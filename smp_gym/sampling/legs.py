@@ -151,7 +151,9 @@ def free_paths(leg: Leg, members: Members) -> FloatArray:
 def left_free(leg: Leg, paths: FloatArray, rows: FloatArray) -> BoolArray:
     """Return which paths, from `free_paths`, obstacles leave free, (N,), without the grid."""
     radius = leg.spheres.radius[leg.swept]
-    free: BoolArray = ~kernels.blocked_paths(paths, radius, rows, BLOCKING_DEPTH)
+    free: BoolArray = np.logical_not(
+        kernels.blocked_paths(paths, radius, rows, BLOCKING_DEPTH).any(axis=0)
+    )
     return free
 
 

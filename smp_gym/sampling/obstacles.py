@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,41 +55,49 @@ _TABLE_SHARE = 0.35
 SHAPE_SHARES = (0.5, 0.3, 0.2)
 """Obstacles: range of half-extents (m), share that stands on the table, shares of `SHAPES`."""
 
-_CANDIDATES = 500
+_CANDIDATES = 300
 """How many obstacles are drawn to choose from."""
 
 _SHIFT = 0.02
-_CHILDREN = 240
+_CHILDREN = 150
 """Those that block most have children: how far each is shifted, m, and how many."""
 
 
 def draw_candidates(
-    task: ObjectTask, family: Family, goals: tuple[Goal, ...], rng: np.random.Generator
+    task: ObjectTask,
+    family: Family,
+    proposals: BoolArray,
+    goals: tuple[Goal, ...],
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """Return rows of obstacles near the paths of free proposals, off table, goals and start."""
+    """Return rows of obstacles near the paths of (P,) proposals, off table, goals and start."""
     count = _CANDIDATES
-    pool = np.flatnonzero(family.free[: family.proposals])
+    pool = np.flatnonzero(proposals)
     if not len(pool):
         return np.empty((0, kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
     sample = rng.integers(task.samples, size=count)
     hand = np.flatnonzero(task.spheres.link[task.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
-    rows = draw_rows(family.paths[member, sample, sphere], family.radius[sphere], rng)
+    rows = draw_rows(family.paths[member, sample, sphere], family.radius[sphere], 2.0, rng)
     return rows[_fits(task, goals, rows)]
 
 
-def draw_rows(points: FloatArray, radius: FloatArray, rng: np.random.Generator) -> FloatArray:
+def draw_rows(
+    points: FloatArray, radius: FloatArray, skew: float, rng: np.random.Generator
+) -> FloatArray:
     """Return (C, 9) rows of random obstacles that reach spheres, or stand on the table below.
 
     Args:
         points: (C, 3) m, centres of the spheres.
         radius: (C,) m.
+        skew: 1 draws all half-extents alike, more draws more of the large ones.
         rng: source of all randomness.
     """
     count = len(points)
-    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES).astype(np.float64)
-    size = _sizes(shape, rng.uniform(*HALF_EXTENTS, size=(count, 3)))
+    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
+    low, high = HALF_EXTENTS
+    size = _sizes(shape, high - (high - low) * rng.uniform(size=(count, 3)) ** skew)
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     offset = rng.standard_normal((count, 3))
     offset *= rng.uniform(size=(count, 1)) / np.sqrt((offset**2).sum(axis=1, keepdims=True))
@@ -101,8 +111,8 @@ def vary(
     task: ObjectTask, goals: tuple[Goal, ...], rows: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Return rows of obstacles that resemble the given ones, but are larger and turned anew."""
-    count = _CHILDREN
-    children = rows[rng.integers(len(rows), size=count)]
+    count = _CHILDREN if len(rows) else 0
+    children = rows[rng.integers(max(1, len(rows)), size=count)]
     on_table = children[:, 3] == children[:, 8]
     children[:, 1:4] += rng.normal(0.0, _SHIFT, (count, 3))
     grown = children[:, 6:] + rng.uniform(size=(count, 3)) * (HALF_EXTENTS[1] - children[:, 6:])
@@ -113,8 +123,8 @@ def vary(
     return children[_fits(task, goals, children)]
 
 
-def _sizes(shape: FloatArray, size: FloatArray) -> FloatArray:
-    """Return (C, 3) half-extents as those of (C,) shapes have to be."""
+def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
+    """Return (C, 3) half-extents, made those of (C,) shapes."""
     box, ball = SHAPES.index("box"), SHAPES.index("sphere")
     size[shape != box, 1] = size[shape != box, 0]
     size[shape == ball, 2] = size[shape == ball, 0]

@@ -1,4 +1,4 @@
-"""Scenes of PushLiftBox."""
+"""The movements of PushLiftBox as one way, and what its episodes draw."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.sampling.body import ObjectTask, make_task
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.push import Push
-from smp_gym.sampling.specification import SPECIFICATIONS
-from smp_gym.sampling.way import Draw, draw_way
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks import push_lift_box
 
-__all__ = ["draw_box", "draw_push_lift", "draw_target", "standing"]
+__all__ = ["draw_box", "draw_lift", "draw_target", "lift_specification", "standing"]
 
 FloatArray = NDArray[np.float64]
 
@@ -138,8 +137,10 @@ def draw_target(rng: np.random.Generator) -> Goal:
     return Goal(kind="lift", position=position)
 
 
-def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
+def draw_lift(
+    rng: np.random.Generator,
+) -> tuple[ObjectTask, ManipulatedObject, Goal] | None:
+    """Draw a start, with the push of a box, that box, and a target; None if it is out of reach."""
     box, goal = draw_box(rng), draw_target(rng)
     spread = np.asarray(push_lift_box.START_SPREAD)
     start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
@@ -150,7 +151,9 @@ def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
         task = _with_push(task, nominal.push.phases, nominal.push.spheres, box)
     except kinematics.UnreachableError:
         return None
-    free_share = _FREE_SHARES[difficulty]
-    specification = replace(SPECIFICATIONS[difficulty], free_share=free_share)
-    drawn = draw_way(task, specification, goal, (goal,), rng)
-    return None if drawn is None else replace(drawn, manipulated=box)
+    return task, box, goal
+
+
+def lift_specification(difficulty: str) -> DifficultySpecification:
+    """Return what a difficulty means for PushLiftBox."""
+    return replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
