@@ -179,6 +179,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         observation = self._begin(self._choose_scene(seed, options))
         if self.render_mode == "human":
             self._cell.world.look(self._camera)
+            self._cell.world.show_lines(())
             self.render()
         return observation, self._info()
 
@@ -295,9 +296,10 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         _ = self.scene
         if self.render_mode == "rgb_array":
-            line = self._cell.status.trace
-            return self._cell.world.picture(self._camera, self._width, self._height, line)
+            lines = self._cell.lines
+            return self._cell.world.picture(self._camera, self._width, self._height, lines)
         if self.render_mode == "human":
+            self._cell.world.show_lines(self._cell.lines)
             now = time.monotonic()
             time.sleep(max(0.0, self._next_frame - now))
             self._next_frame = max(self._next_frame, now) + CONTROL_PERIOD

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from smp_gym import assets
 from smp_gym.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
 from smp_gym.kinematics import LINKS, PEN_RADIUS, PEN_TIP
+from smp_gym.lines import Line, wire_box
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, ObjectState, RobotState
 from smp_gym.scene import TABLE, ManipulatedObject, Obstacle, Scene, goal_bodies, goal_boxes
 from smp_gym.tasks import Status, Task
@@ -30,6 +31,10 @@ FloatArray = NDArray[np.float64]
 _TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
 _GOAL_COLORS = {"bin": (0.30, 0.45, 0.62, 1.0), "pad": (0.36, 0.60, 0.42, 1.0)}
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
+_TRACE_COLOR = (0.11, 0.25, 0.67)
+_TARGET_COLOR = (0.0, 0.55, 0.25)
+_TRACE_WIDTH = 0.008
+_TARGET_WIDTH = 0.004
 _ORIGIN = (0.0, 0.0, 0.0)
 # Where bodies of goals wait, so deep and so far apart that they are near nothing.
 _PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
@@ -131,12 +136,21 @@ class Workcell:
         self._pen = manipulated is None
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
         self._trace, self._traced = np.empty((0, 3)), 0
+        self._targets = [
+            Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in _bodiless_goals(scene)
+        ]
         self._calm_steps = 0
         self._squeezing = True
         self._contacts: frozenset[Contact] = frozenset()
         if self._collides():
             raise ValueError(f"the scene begins with a collision: {self.collision}")
         self._measure()
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """What is seen but has no body: goals without one, and the pen's trace over them."""
+        trace = Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH)
+        return (*self._targets, trace)
 
     def _disperse(self, scene: Scene) -> None:
         """Exchange the obstacles and take all bodies apart.
@@ -287,6 +301,17 @@ class Workcell:
             self._trace = np.concatenate([self._trace, np.empty((room - self._traced, 3))])
         self._trace[self._traced] = point
         self._traced += 1
+
+
+def _bodiless_goals(scene: Scene) -> list[FloatArray]:
+    """Return lines (M, 3) m that show strokes, and edges of objects where they shall be lifted."""
+    lines = []
+    for goal in scene.goals:
+        if goal.kind == "stroke":
+            lines.append(np.array(goal.checkpoints))
+        elif goal.kind == "lift" and scene.manipulated is not None:
+            lines.append(wire_box(goal.position, scene.manipulated.size))
+    return lines
 
 
 def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:

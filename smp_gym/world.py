@@ -18,6 +18,7 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from smp_gym.lines import Line, draw_lines
 from smp_gym.scene import MAX_OBSTACLES, Obstacle
 
 __all__ = ["PHYSICS_PERIOD", "BulletWorld", "Camera", "Contact"]
@@ -51,12 +52,8 @@ _GEOMETRIES = {
     "cylinder": pybullet.GEOM_CYLINDER,
     "sphere": pybullet.GEOM_SPHERE,
 }
-_LINE_COLOR = (28, 63, 170)
-_LINE_WIDTH = 0.008
-_LINE_SUBDIVISION = 16
-_DEPTH_SLACK = 1e-4
-"""A drawn line: red, green and blue; width as a share of the picture's height; steps between two of
-its points; what rounding may take from its depth."""
+_WINDOW_LINE_WIDTH = 3.0
+"""Pixels."""
 
 _PARKING_HEIGHT = -20.0
 _SPECK = Obstacle(shape="sphere", position=_ORIGIN, size=(0.01, 0.01, 0.01))
@@ -82,29 +79,6 @@ class Camera:
     yaw: float = 0.0
     pitch: float = -30.0
     field_of_view: float = 45.0
-
-
-def _draw_line(
-    image: NDArray[np.uint8], depth: NDArray[Any], matrix: FloatArray, line: FloatArray
-) -> None:
-    """Draw a line in space into an image (H, W, 4), where nothing in the depth buffer is nearer."""
-    height, width = depth.shape
-    ends = np.column_stack([line, np.ones(len(line))]) @ matrix.T
-    share = np.linspace(0.0, 1.0, _LINE_SUBDIVISION, endpoint=False)[:, None]
-    points = (ends[:-1, None] + share * (ends[1:, None] - ends[:-1, None])).reshape(-1, 4)
-    points = points[points[:, 3] > 0.0]
-    place = points[:, :3] / points[:, 3:]
-    column = np.rint((place[:, 0] + 1.0) / 2 * width - 0.5).astype(np.int64)
-    row = np.rint((1.0 - place[:, 1]) / 2 * height - 0.5).astype(np.int64)
-    near = (place[:, 2] + 1.0) / 2
-    half = max(1, round(height * _LINE_WIDTH / 2))
-    for down in range(-half, half + 1):
-        for right in range(-half, half + 1):
-            r, c = row + down, column + right
-            seen = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-            r, c = r[seen], c[seen]
-            front = near[seen] <= depth[r, c] + _DEPTH_SLACK
-            image[r[front], c[front], :3] = _LINE_COLOR
 
 
 def _disconnect(client: int) -> None:
@@ -162,6 +136,7 @@ class BulletWorld:
         self._touching: frozenset[tuple[int, int, int, int]] = frozenset()
         self._contacts: frozenset[Contact] = frozenset()
         self._obstacles: list[str] = []
+        self._shown: dict[int, int] = {}
 
     def set_gravity(self, on: bool) -> None:
         """Switch gravity on or off."""
@@ -348,7 +323,7 @@ class BulletWorld:
     # Pictures
 
     def picture(
-        self, camera: Camera, width: int, height: int, line: FloatArray | None = None
+        self, camera: Camera, width: int, height: int, lines: Sequence[Line] = ()
     ) -> NDArray[np.uint8]:
         """Return a picture of the world, (height, width, 3), computed without a graphics card.
 
@@ -356,8 +331,7 @@ class BulletWorld:
             camera: where it is taken from.
             width: pixels.
             height: pixels.
-            line: (M, 3) m, drawn into the picture where no body hides it; no body of its own, so
-                that it leaves physics and snapshots alone.
+            lines: drawn into the picture where no body hides them.
         """
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             camera.target, camera.distance, camera.yaw, camera.pitch, 0.0, 2
@@ -381,9 +355,8 @@ class BulletWorld:
             physicsClientId=self.client,
         )
         image = np.array(pixels, np.uint8).reshape(height, width, 4)
-        if line is not None and len(line) > 1:
-            matrix = np.array(projection).reshape(4, 4).T @ np.array(view).reshape(4, 4).T
-            _draw_line(image, np.asarray(depth).reshape(height, width), matrix, line)
+        matrix = np.array(projection).reshape(4, 4).T @ np.array(view).reshape(4, 4).T
+        draw_lines(image, np.asarray(depth).reshape(height, width), matrix, lines)
         return np.ascontiguousarray(image[:, :, :3])
 
     def look(self, camera: Camera) -> None:
@@ -395,6 +368,27 @@ class BulletWorld:
             camera.target,
             physicsClientId=self.client,
         )
+
+    def show_lines(self, lines: Sequence[Line]) -> None:
+        """Show lines in the window: those of the last call, as far as they have grown, or others.
+
+        Args:
+            lines: none of them takes away what was shown of it; for that, show none first.
+        """
+        if not lines:
+            pybullet.removeAllUserDebugItems(physicsClientId=self.client)
+            self._shown = {}
+        for number, line in enumerate(lines):
+            shown = self._shown.get(number, 1)
+            for begin, end in zip(line.points[shown - 1 :], line.points[shown:], strict=False):
+                pybullet.addUserDebugLine(
+                    begin.tolist(),
+                    end.tolist(),
+                    lineColorRGB=line.color,
+                    lineWidth=_WINDOW_LINE_WIDTH,
+                    physicsClientId=self.client,
+                )
+            self._shown[number] = max(shown, len(line.points))
 
     # Internals
 

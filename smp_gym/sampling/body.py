@@ -74,7 +74,8 @@ class ObjectTask(Body):
         nominal_goal: (3,) m, mean goal of the demonstrations.
         held: (4, 4) pose of the held object in the end-effector frame.
         samples: of each member of a family.
-        wide: how many wide detours are drawn.
+        proposals: how many detours of ordinary width are drawn.
+        wide: how many wide ones.
         widest: up to so many times as wide as ordinary ones.
     """
 
@@ -84,7 +85,8 @@ class ObjectTask(Body):
     nominal_goal: FloatArray
     held: FloatArray
     samples: int = 20
-    wide: int = 56
+    proposals: int = 104
+    wide: int = 144
     widest: float = 2.5
 
     @property

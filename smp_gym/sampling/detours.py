@@ -34,7 +34,7 @@ def detour_basis(samples: int, pins: tuple[float, ...] = (0.0, 1.0)) -> FloatArr
     the result does not depend on the number of threads of a linear algebra library.
     """
     phase = np.linspace(0.0, 1.0, samples)
-    harmonics = np.arange(0, 13)
+    harmonics = np.arange(0, 9)
     omega = np.pi * harmonics
     power = np.exp(-0.5 * (omega * _DETOUR_LENGTH) ** 2)
     power[1:] *= 2.0

@@ -12,18 +12,14 @@ from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.carrying import carry
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.detours import detour_basis, detours
-from smp_gym.sampling.grid import near, rasterise
+from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
 from smp_gym.scene import Goal, goal_boxes
 
-__all__ = ["BLOCKING_DEPTH", "PROPOSALS", "Family", "draw_family", "member"]
+__all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-
-PROPOSALS = 104
-"""Detours of ordinary width."""
 
 
 BLOCKING_DEPTH = 0.015
@@ -41,7 +37,7 @@ class Family:
         numbers: (M, F, 6) standard normal numbers, times the width, of the detours.
         paths: (N, T, S, 3) m, centres of the swept spheres; N = 1 + demonstrations + M.
         radius: (S,) m.
-        grid: which members sweep over which grid points.
+        grid: which members pass which grid points.
         proposals: how many, from the first, a primitive would propose.
         free: (N,) whether table and goals leave a member free.
         able: (N,) whether a member may serve as witness, as far as seen from these samples.
@@ -52,7 +48,7 @@ class Family:
     numbers: FloatArray
     paths: FloatArray
     radius: FloatArray
-    grid: NDArray[np.uint64]
+    grid: Grid
     proposals: int
     free: BoolArray
     able: BoolArray
@@ -62,12 +58,9 @@ class Family:
         return near(self.grid, rows, distance, len(self.paths))
 
     def blocked(self, rows: FloatArray) -> BoolArray:
-        """Return which proposals obstacles block, (P,), checked without the grid."""
+        """Return (C, P), which proposals each obstacle blocks, checked without the grid."""
         paths = self.paths[: self.proposals]
-        steps = kernels.longest_steps(paths)
-        each = kernels.blocked_paths(paths, self.radius, steps, rows, BLOCKING_DEPTH)
-        blocked: BoolArray = np.any(each, axis=0)
-        return blocked
+        return kernels.blocked_paths(paths, self.radius, rows, BLOCKING_DEPTH)
 
 
 def draw_family(
@@ -100,31 +93,29 @@ def draw_family(
     )
     paths = task.paths(trajectories, task.swept)
     radius = task.spheres.radius[task.swept]
-    grid = rasterise(paths, radius)
     grounded = np.isin(task.swept, task.moving)
-    height = (paths[..., grounded, 2] - radius[grounded]).min(axis=(1, 2))
-    # The bin counts as solid here: its thin walls would fall through the grid.
+    height = kernels.lowest(paths, np.where(grounded, radius, -np.inf))
+    # The bin counts as solid here.
     solids = np.array([to_solid_row(goal) for goal in goals if goal_boxes(goal)])
     solids = solids.reshape(-1, kernels.OBSTACLE_COLUMNS)
-
-    def clear(distance: float) -> BoolArray:
-        touched = near(grid, solids, distance, len(paths)).any(axis=0)
-        return ~touched & (height > distance)
-
-    able = clear(FIXTURE_CLEARANCE) & within_limits(trajectories)
+    clearance = np.minimum(
+        height, kernels.least_clearances(paths, radius, solids, 1.1 * FIXTURE_CLEARANCE)
+    )
+    able = (clearance >= FIXTURE_CLEARANCE) & within_limits(trajectories)
     if task.push is not None:
         approach = paths[:, : int(task.push.phases[0] * (task.samples - 1)) + 1]
-        steps, row = kernels.longest_steps(approach), task.push.object_row
-        able &= ~kernels.blocked_paths(approach, radius, steps, row, -FIXTURE_CLEARANCE)[0]
+        able &= ~kernels.blocked_paths(approach, radius, task.push.object_row, -FIXTURE_CLEARANCE)[
+            0
+        ]
     return Family(
         configuration=configuration,
         base=base,
         numbers=numbers,
         paths=paths,
         radius=radius,
-        grid=grid,
+        grid=rasterise(paths, radius),
         proposals=1 + demonstrations + proposals,
-        free=clear(-BLOCKING_DEPTH),
+        free=clearance > -BLOCKING_DEPTH,
         able=able,
     )
 

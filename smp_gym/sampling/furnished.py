@@ -19,7 +19,7 @@ from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.carrying import release_configuration
 from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row, to_solid_row
-from smp_gym.sampling.family import BLOCKING_DEPTH, PROPOSALS, Family, draw_family, member
+from smp_gym.sampling.family import BLOCKING_DEPTH, Family, draw_family, member
 from smp_gym.sampling.furniture import FURNITURE, Place, draw_furniture
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.placing import double_sided_tasks, draw_bin, draw_pads, placement_task
@@ -75,8 +75,7 @@ def _blocks_enough(family: Family, rows: FloatArray) -> bool:
     """Return whether furniture blocks the mean and leaves few proposals free."""
     for count, share in (*_FIRST_PROPOSALS, (family.proposals, _FREE_SHARE)):
         paths = family.paths[:count]
-        steps = kernels.longest_steps(paths)
-        blocked = kernels.blocked_paths(paths, family.radius, steps, rows, BLOCKING_DEPTH)
+        blocked = kernels.blocked_paths(paths, family.radius, rows, BLOCKING_DEPTH)
         free = family.free[:count] & ~blocked.any(axis=0)
         if free[0] or free.sum() > share * family.free[:count].sum():
             return False
@@ -107,7 +106,7 @@ def _draw_way(
     except kinematics.UnreachableError:
         return None
     task = replace(task, samples=_SAMPLES)
-    family = draw_family(task, goals, configuration, PROPOSALS, _WIDE, rng)
+    family = draw_family(task, goals, configuration, task.proposals, _WIDE, rng)
     radius = task.spheres.radius
     ends, points = task.paths(np.stack([task.start, configuration])), _points_of(goals)
     x, y, z = (kinematics.end_effector_pose(task.start) @ task.held)[:3, 3].tolist()

@@ -1,33 +1,124 @@
-"""The grid on which obstacles are compared: which paths come near which points."""
+"""The grid on which obstacles are compared: which paths' spheres pass which of its points.
+
+Every centre of a sphere sets a bit at the point nearest to it; a query then visits the points
+around an obstacle, farther for larger spheres. That takes one step for each sphere of a path, where
+drawing whole balls takes a hundred. Centres are moved by up to half the spacing along each axis, so
+what is found on the grid is a guess; what is chosen by it is checked without.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from smp_gym.sampling import kernels
+from smp_gym.sampling.kernels import point_distance
 
-__all__ = ["GRID_SLACK", "near", "rasterise"]
+__all__ = ["Grid", "near", "rasterise"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-
-_ORIGIN = np.array([-0.2, -0.9, 0.0])
+_ORIGIN = np.array([0.04, -0.76, 0.0])
 _SPACING = 0.04
-_SHAPE = (31, 46, 29)
-"""Grid of points (m) on which candidates are compared; it holds all that the arm can reach in front
-of it. What is chosen is checked without the grid."""
+_SHAPE = (24, 39, 26)
+"""First point (m), spacing (m) and numbers of points: all that the arm can reach with its hand in
+front of it."""
 
-GRID_SLACK = 0.02
-"""Metres added to the clearance on the grid, for what lies between its points and the samples."""
+_SMALL = 0.03
+"""m: spheres are told apart by whether their radius is below this or not."""
 
 
-def rasterise(paths: FloatArray, radius: FloatArray) -> NDArray[np.uint64]:
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Which paths pass which points.
+
+    Attributes:
+        words: (2, X, Y, Z, ceil(N / 64)), a bit for each path, of its small and its large spheres.
+        radius: (2,) m, mean of the small and of the large ones; negative where there are none.
+    """
+
+    words: NDArray[np.uint64]
+    radius: FloatArray
+
+
+def rasterise(paths: FloatArray, radius: FloatArray) -> Grid:
     """Return the grid of (N, T, S, 3) m paths of spheres with radii (S,) m."""
-    return kernels.rasterised(paths, radius, _ORIGIN, _SPACING, _SHAPE)
+    large = radius >= _SMALL
+    means = [radius[kind].mean() if kind.any() else -1.0 for kind in (~large, large)]
+    return Grid(
+        _set_bits(paths, large.astype(np.int64), _ORIGIN, _SPACING, _SHAPE), np.array(means)
+    )
 
 
-def near(grid: NDArray[np.uint64], rows: FloatArray, distance: float, members: int) -> BoolArray:
+def near(grid: Grid, rows: FloatArray, distance: float, members: int) -> BoolArray:
     """Return (C, members), which paths of a grid come within a distance (m) of which obstacles."""
-    return kernels.touched(grid, _ORIGIN, _SPACING, rows, distance, members)
+    reach = np.where(grid.radius < 0.0, -np.inf, grid.radius + distance)
+    return _collect(grid.words, reach, rows, _ORIGIN, _SPACING, members)
+
+
+@njit(cache=True)
+def _set_bits(
+    paths: FloatArray,
+    kind: NDArray[np.int64],
+    origin: FloatArray,
+    spacing: float,
+    shape: tuple[int, int, int],
+) -> NDArray[np.uint64]:
+    count, samples, spheres, _ = paths.shape
+    words = np.zeros((2, shape[0], shape[1], shape[2], (count + 63) // 64), np.uint64)
+    for n in range(count):
+        bit = np.uint64(1) << np.uint64(n % 64)
+        for t in range(samples):
+            for s in range(spheres):
+                i = math.floor((paths[n, t, s, 0] - origin[0]) / spacing + 0.5)
+                j = math.floor((paths[n, t, s, 1] - origin[1]) / spacing + 0.5)
+                k = math.floor((paths[n, t, s, 2] - origin[2]) / spacing + 0.5)
+                if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]:
+                    words[kind[s], i, j, k, n // 64] |= bit
+    return words
+
+
+@njit(cache=True)
+def _collect(
+    words: NDArray[np.uint64],
+    reach: FloatArray,
+    rows: FloatArray,
+    origin: FloatArray,
+    spacing: float,
+    members: int,
+) -> BoolArray:
+    out = np.zeros((len(rows), members), np.bool_)
+    found = np.zeros(words.shape[4], np.uint64)
+    low = np.zeros(3, np.int64)
+    high = np.zeros(3, np.int64)
+    widest = max(reach[0], reach[1])
+    for m in range(len(rows)):
+        row = rows[m]
+        # The corners of a box reach out farther than its sides.
+        flat = math.sqrt(row[6] ** 2 + row[7] ** 2) if row[0] == 0 else row[6]
+        for axis in range(3):
+            around = (row[8] if axis == 2 else flat) + max(widest, 0.0)
+            middle = row[1 + axis] - origin[axis]
+            low[axis] = max(0, math.ceil((middle - around) / spacing))
+            high[axis] = min(words.shape[1 + axis], math.floor((middle + around) / spacing) + 1)
+        found[:] = 0
+        for i in range(low[0], high[0]):
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    distance = point_distance(
+                        origin[0] + i * spacing,
+                        origin[1] + j * spacing,
+                        origin[2] + k * spacing,
+                        row,
+                    )
+                    for kind in range(2):
+                        if distance <= reach[kind]:
+                            for w in range(len(found)):
+                                found[w] |= words[kind, i, j, k, w]
+        for n in range(members):
+            out[m, n] = (found[n // 64] >> np.uint64(n % 64)) & np.uint64(1)
+    return out

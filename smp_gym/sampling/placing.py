@@ -14,7 +14,7 @@ from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask, make_task
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.obstacles import START_CLEARANCE
-from smp_gym.sampling.specification import SPECIFICATIONS
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.way import Draw, draw_way
 from smp_gym.scene import Goal, Obstacle
 from smp_gym.tasks import double_sided_placement, placement
@@ -26,23 +26,26 @@ __all__ = [
     "draw_pads",
     "draw_placement",
     "placement_task",
+    "side_specifications",
+    "stopper",
 ]
 
 FloatArray = NDArray[np.float64]
 
 
-_OBSTACLES_BY_SIDE = {"none": (0, 0), "easy": (2, 2), "medium": (4, 4), "hard": (6, 1)}
-_FREE_SHARES = {"none": (1.0, 1.0), "easy": (0.03, 0.03), "medium": (0.01, 0.0), "hard": (0.0, 0.0)}
-"""Of DoubleSidedPlacement: obstacles on the way to the one and to the other pad, and which share of
-the proposals for each may stay free. Where the numbers of obstacles differ, the other side is
-closed off: its only obstacle stands on the pad and leaves no room there."""
+_FREE_SHARES = {"none": 1.0, "easy": 0.015, "medium": 0.0, "hard": 0.0}
+_CLOSED = ("hard",)
+"""Of DoubleSidedPlacement: which share of the proposals for each pad may stay free, and at which
+difficulties the other side is closed off: its only obstacle stands on the pad and leaves no room
+there."""
 
 _STOPPER_HALF_EXTENTS = (0.05, 0.06)
 """m, of what stands on a pad that is closed off: between it and the pad's edge no object fits with
 its centre over the pad."""
 
-_WAY_DRAWS = 6
-"""How many families are tried on the second of two ways."""
+_PROPOSALS = 168
+"""Of DoubleSidedPlacement, on each way: two ways are two chances to get through, so each has to
+be blocked more surely."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -65,12 +68,17 @@ def double_sided_tasks() -> tuple[ObjectTask, ObjectTask]:
     demonstrations = Demonstrations.load("DoubleSidedPlacement")
     left = kinematics.end_effector_pose(demonstrations.configurations[:, -1])[:, 1, 3] > 0.0
     tasks = [
-        make_task(
-            demonstrations.configurations[of_side],
-            np.array([scene.goals[side].position for scene in demonstrations.scenes]).mean(axis=0),
-            double_sided_placement.START_CONFIGURATION,
-            double_sided_placement.HELD_OBJECT_POSE,
-            demonstrations.metadata["finger_angles"],
+        replace(
+            make_task(
+                demonstrations.configurations[of_side],
+                np.array([scene.goals[side].position for scene in demonstrations.scenes]).mean(
+                    axis=0
+                ),
+                double_sided_placement.START_CONFIGURATION,
+                double_sided_placement.HELD_OBJECT_POSE,
+                demonstrations.metadata["finger_angles"],
+            ),
+            proposals=_PROPOSALS,
         )
         for side, of_side in enumerate((left, ~left))
     ]
@@ -101,6 +109,15 @@ def draw_placement(difficulty: str, rng: np.random.Generator) -> Draw | None:
     return draw_way(placement_task(), SPECIFICATIONS[difficulty], goal, (goal,), rng)
 
 
+def side_specifications(
+    difficulty: str,
+) -> tuple[DifficultySpecification, DifficultySpecification | None]:
+    """Return what a difficulty means for the one and the other side; None if that is closed off."""
+    share = _FREE_SHARES[difficulty]
+    one = replace(SPECIFICATIONS[difficulty], free_share=share)
+    return one, None if difficulty in _CLOSED else one
+
+
 def draw_double_sided(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw two pads, obstacles on both sides and a witness; None if they do not fit together.
 
@@ -110,28 +127,21 @@ def draw_double_sided(difficulty: str, rng: np.random.Generator) -> Draw | None:
     goals = draw_pads(rng)
     tasks = double_sided_tasks()
     side = int(rng.integers(2))
-    count, count_other = _OBSTACLES_BY_SIDE[difficulty]
-    share, share_other = _FREE_SHARES[difficulty]
-    specification = replace(SPECIFICATIONS[difficulty], obstacles=count, free_share=share)
-    drawn = draw_way(tasks[side], specification, goals[side], goals, rng)
+    one, other = side_specifications(difficulty)
+    drawn = draw_way(tasks[side], one, goals[side], goals, rng)
     if drawn is None:
         return None
-    if count == count_other:
-        specification = replace(specification, free_share=share_other)
-        for _ in range(_WAY_DRAWS if count_other else 1):
-            both = draw_way(tasks[1 - side], specification, goals[1 - side], goals, rng, drawn)
-            if both is not None:
-                return both
-        return None
-    stopper = _stopper(goals[1 - side], rng)
+    if other is not None:
+        return draw_way(tasks[1 - side], other, goals[1 - side], goals, rng, drawn)
+    rows = stopper(goals[1 - side], rng)
     path, radius = tasks[side].paths(drawn.witness), tasks[side].spheres.radius
-    clearance = kernels.path_clearances(path, radius, stopper, 1.0).min()
-    if clearance < max(specification.clearance, START_CLEARANCE):
+    clearance = kernels.path_clearances(path, radius, rows, 1.0).min()
+    if clearance < max(one.clearance, START_CLEARANCE):
         return None
-    return replace(drawn, rows=np.concatenate([drawn.rows, stopper]))
+    return replace(drawn, rows=np.concatenate([drawn.rows, rows]))
 
 
-def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
+def stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
     """Return the (1, 9) row of a box that leaves no room on a pad."""
     half = rng.uniform(*_STOPPER_HALF_EXTENTS, size=3)
     x, y, z = goal.position

@@ -1,4 +1,4 @@
-"""Scenes of PushLiftBox."""
+"""The movements of PushLiftBox as one way, and what its episodes draw."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.sampling.body import ObjectTask, make_task
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.push import Push
-from smp_gym.sampling.specification import SPECIFICATIONS
-from smp_gym.sampling.way import Draw, draw_way
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks import push_lift_box
 
-__all__ = ["draw_push_lift"]
+__all__ = ["draw_box", "draw_lift", "draw_target", "lift_specification", "standing"]
 
 FloatArray = NDArray[np.float64]
 
@@ -106,12 +105,12 @@ def _with_push(
         configurations=np.array(configurations[::-1]),
         object_path=path[:, None],
         object_radius=np.array([np.linalg.norm(box.size)]),
-        object_row=np.array([to_row(_standing(box))]),
+        object_row=np.array([to_row(standing(box))]),
     )
     return replace(task, push=push)
 
 
-def _standing(box: ManipulatedObject) -> Obstacle:
+def standing(box: ManipulatedObject) -> Obstacle:
     """Return a box that stands on the table, as a body."""
     assert box.position is not None
     half = box.yaw / 2
@@ -119,7 +118,7 @@ def _standing(box: ManipulatedObject) -> Obstacle:
     return Obstacle(shape="box", position=box.position, quaternion=quaternion, size=box.size)
 
 
-def _draw_box(rng: np.random.Generator) -> ManipulatedObject:
+def draw_box(rng: np.random.Generator) -> ManipulatedObject:
     """Return a box that stands on the table."""
     radius = rng.uniform(*push_lift_box.BOX_RADIUS)
     bearing = rng.uniform(*push_lift_box.BOX_BEARING)
@@ -129,7 +128,7 @@ def _draw_box(rng: np.random.Generator) -> ManipulatedObject:
     return ManipulatedObject(position=position, yaw=float(yaw))
 
 
-def _draw_target(rng: np.random.Generator) -> Goal:
+def draw_target(rng: np.random.Generator) -> Goal:
     """Return a point in the air."""
     radius = rng.uniform(*push_lift_box.TARGET_RADIUS)
     bearing = rng.uniform(*push_lift_box.TARGET_BEARING)
@@ -138,9 +137,11 @@ def _draw_target(rng: np.random.Generator) -> Goal:
     return Goal(kind="lift", position=position)
 
 
-def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
-    box, goal = _draw_box(rng), _draw_target(rng)
+def draw_lift(
+    rng: np.random.Generator,
+) -> tuple[ObjectTask, ManipulatedObject, Goal] | None:
+    """Draw a start, with the push of a box, that box, and a target; None if it is out of reach."""
+    box, goal = draw_box(rng), draw_target(rng)
     spread = np.asarray(push_lift_box.START_SPREAD)
     start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
     nominal = _push_lift_task()
@@ -150,7 +151,9 @@ def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
         task = _with_push(task, nominal.push.phases, nominal.push.spheres, box)
     except kinematics.UnreachableError:
         return None
-    free_share = _FREE_SHARES[difficulty]
-    specification = replace(SPECIFICATIONS[difficulty], free_share=free_share)
-    drawn = draw_way(task, specification, goal, (goal,), rng)
-    return None if drawn is None else replace(drawn, manipulated=box)
+    return task, box, goal
+
+
+def lift_specification(difficulty: str) -> DifficultySpecification:
+    """Return what a difficulty means for PushLiftBox."""
+    return replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smp_gym.sampling import strokes
 from smp_gym.sampling.conversion import to_configuration, to_obstacle
 from smp_gym.sampling.placing import draw_double_sided, draw_placement
-from smp_gym.sampling.push_lift import draw_push_lift
+from smp_gym.sampling.push_lift_scenes import draw_push_lift
 from smp_gym.sampling.specification import SPECIFICATIONS, generator
 from smp_gym.sampling.way import Draw
 from smp_gym.scene import DIFFICULTIES, TASKS, Scene

@@ -19,17 +19,16 @@ from numpy.typing import NDArray
 from smp_gym import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
+from smp_gym.sampling.choice import REPEATED, apart
 from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row
 from smp_gym.sampling.detours import resample
 from smp_gym.sampling.family import BLOCKING_DEPTH
-from smp_gym.sampling.grid import near, rasterise
+from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.obstacles import (
     BASE_DISTANCE,
     HALF_EXTENTS,
-    REPEATED,
     SHAPE_SHARES,
     START_CLEARANCE,
-    apart,
 )
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.sampling.stroke_ways import (
@@ -223,7 +222,7 @@ def _draw_bumpy(
     return _Bumpy(way, rows[kept], bump[kept])
 
 
-def _grid(body: Body, stroke: Stroke, bumps: int, rng: np.random.Generator) -> NDArray[np.uint64]:
+def _grid(body: Body, stroke: Stroke, bumps: int, rng: np.random.Generator) -> Grid:
     """Return the grid of ways along a stroke, the first without bumps."""
     aside = lead_aside(stroke, sample_centers(_FAMILY - 1, bumps, rng), rng)
     ways = np.repeat(resample(stroke.way[None], _SAMPLES), _FAMILY, axis=0)

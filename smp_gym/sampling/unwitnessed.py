@@ -2,12 +2,14 @@
 
 A scene with a witness favours planners that look where witnesses are looked for. Here goal, family
 and candidates are drawn as in `smp_gym.sampling.scenes`, and obstacles are chosen to block the mean
-and as many proposals as they can; they keep clear of the configurations in which the proposals
-begin and end, but of nothing in between. So some of these scenes cannot
-be solved; `scripts/make_benchmark.py` certifies those that can.
+and as many proposals as they can; they keep clear of the configurations that all proposals share,
+their begin and end and a push between, but of nothing else. So some of these scenes cannot be
+solved; `scripts/make_benchmark.py` certifies those that can.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,66 +17,139 @@ from numpy.typing import NDArray
 from smp_gym import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask
-from smp_gym.sampling.carrying import release_configuration
+from smp_gym.sampling.candidates import Candidates
+from smp_gym.sampling.carrying import carry, release_configuration
+from smp_gym.sampling.choice import apart, choose
 from smp_gym.sampling.conversion import to_configuration, to_obstacle
-from smp_gym.sampling.family import BLOCKING_DEPTH, PROPOSALS, Family, draw_family
-from smp_gym.sampling.obstacles import (
-    PAIRED_CANDIDATES,
-    START_CLEARANCE,
-    apart,
-    choose,
-    draw_candidates,
+from smp_gym.sampling.family import draw_family
+from smp_gym.sampling.obstacles import START_CLEARANCE, draw_candidates, vary
+from smp_gym.sampling.placing import (
+    double_sided_tasks,
+    draw_bin,
+    draw_pads,
+    placement_task,
+    side_specifications,
+    stopper,
 )
-from smp_gym.sampling.placing import draw_bin, placement_task
+from smp_gym.sampling.push_lift import draw_lift, lift_specification
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification, generator
+from smp_gym.sampling.way import MAX_CHOICES, PARENTS, ROUNDS
+from smp_gym.sampling.witness import WITNESS_SAMPLES
 from smp_gym.scene import DIFFICULTIES, Goal, ManipulatedObject, Scene
 
 __all__ = ["place_without_witness"]
 
 FloatArray = NDArray[np.float64]
 
-_MAX_DRAWS = 60
-
-_TASKS = ("Placement",)
-"""Tasks whose scenes can be placed so."""
+_MAX_DRAWS = 200
+_NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
 
 
-def _choose_obstacles(
+def _shared(task: ObjectTask, configuration: FloatArray) -> FloatArray:
+    """Return (T, S, 3) m, the spheres where all ways lead: to the goal, and along the push."""
+    phase = np.linspace(0.0, 1.0, WITNESS_SAMPLES)
+    kept = phase == 1.0
+    if task.push is not None:
+        begin, end = task.push.phases
+        kept |= (phase >= begin) & (phase <= end)
+    way = carry(task, configuration, WITNESS_SAMPLES).mean(axis=0)
+    return np.ascontiguousarray(task.paths(way)[kept])
+
+
+def _block(
     task: ObjectTask,
     specification: DifficultySpecification,
     goal: Goal,
-    family: Family,
+    goals: tuple[Goal, ...],
     rng: np.random.Generator,
+    others: FloatArray = _NO_ROWS,
 ) -> FloatArray | None:
-    """Return (M, 9) rows that block the mean and enough of the proposals; None if none do."""
+    """Return (M, 9) rows that block the mean and enough of the proposals, and the others.
+
+    None if nothing blocks enough.
+    """
+    try:
+        configuration = release_configuration(task, goal)
+    except kinematics.UnreachableError:
+        return None
+    family = draw_family(task, goals, configuration, task.proposals, 0, rng)
     proposed = family.free[: family.proposals]
-    rows = draw_candidates(task, family, (goal,), rng)
-    # Every proposal ends over the goal: without this, that is where the obstacles would gather.
-    end, radius = task.paths(family.configuration[None]), task.spheres.radius
-    clearance = kernels.path_clearances(end, radius, rows, 1.0)
-    rows = rows[clearance >= START_CLEARANCE]
-    depth = -BLOCKING_DEPTH
-    blocks = family.near(rows, depth)[:, : family.proposals] & proposed
-    order = np.argsort(-blocks.sum(axis=1), kind="stable")
-    rows, blocks = rows[order], blocks[order]
-    first = rows[:PAIRED_CANDIDATES]
-    # One possible witness that nothing comes near.
-    clears = np.ones((len(rows), 1), np.bool_)
-    choice = choose(rows, blocks, clears, apart(first, first), specification)
-    if choice is None:
+    most = int(specification.free_share * proposed.sum())
+    already = family.blocked(others).sum(axis=0)
+    shared, radius = _shared(task, configuration), task.spheres.radius
+
+    def useful(rows: FloatArray) -> Candidates:
+        clear = kernels.path_clearances(shared, radius, rows, START_CLEARANCE) >= START_CLEARANCE
+        rows = rows[clear & apart(rows, others).all(axis=1)]
+        # One possible witness that nothing comes near.
+        return Candidates.guessed(family, rows, np.ones((len(rows), 1), np.bool_))
+
+    candidates = Candidates.none(family, 1)
+    free = proposed & (already == 0)
+    for _ in range(ROUNDS):
+        candidates = candidates.joined(useful(draw_candidates(task, family, free, goals, rng)))
+        parents = candidates.most_blocking(PARENTS)
+        candidates = candidates.joined(useful(vary(task, goals, parents, rng)))
+        for _ in range(MAX_CHOICES):
+            choice = choose(
+                candidates.rows, candidates.blocks, candidates.clears, already, specification
+            )
+            if choice is None:
+                break
+            known = candidates.check(family, choice)
+            free = proposed & (already == 0) & ~candidates.blocks[choice].any(axis=0)
+            if not free[0] and free.sum() <= most:
+                return np.concatenate([others, candidates.rows[choice]])
+            if known:
+                break
+    return None
+
+
+_Placed = tuple[FloatArray, tuple[Goal, ...], FloatArray, ManipulatedObject]
+"""(6,) start, goals, (M, 9) rows of obstacles, the object."""
+
+
+def _place_placement(difficulty: str, rng: np.random.Generator) -> _Placed | None:
+    task, goal = placement_task(), draw_bin(rng)
+    rows = _block(task, SPECIFICATIONS[difficulty], goal, (goal,), rng)
+    return None if rows is None else (task.start, (goal,), rows, ManipulatedObject())
+
+
+def _place_double_sided(difficulty: str, rng: np.random.Generator) -> _Placed | None:
+    tasks, goals = double_sided_tasks(), draw_pads(rng)
+    side = int(rng.integers(2))
+    one, other = side_specifications(difficulty)
+    rows = _block(tasks[side], one, goals[side], goals, rng)
+    if rows is None:
         return None
-    free = proposed & ~family.blocked(rows[choice])
-    if free[0] or free.sum() > specification.free_share * proposed.sum():
+    if other is None:
+        rows = np.concatenate([rows, stopper(goals[1 - side], rng)])
+    else:
+        rows = _block(tasks[1 - side], other, goals[1 - side], goals, rng, rows)
+    return None if rows is None else (tasks[side].start, goals, rows, ManipulatedObject())
+
+
+def _place_push_lift(difficulty: str, rng: np.random.Generator) -> _Placed | None:
+    lift = draw_lift(rng)
+    if lift is None:
         return None
-    chosen: FloatArray = rows[choice]
-    return chosen
+    task, box, goal = lift
+    rows = _block(task, lift_specification(difficulty), goal, (goal,), rng)
+    return None if rows is None else (task.start, (goal,), rows, box)
+
+
+_PLACE: dict[str, Callable[[str, np.random.Generator], _Placed | None]] = {
+    "Placement": _place_placement,
+    "DoubleSidedPlacement": _place_double_sided,
+    "PushLiftBox": _place_push_lift,
+}
 
 
 def place_without_witness(task: str, difficulty: str, seed: int, version: int = 0) -> Scene:
     """Return the scene of (task, version, difficulty, seed) that is placed without a witness.
 
     Args:
-        task: name of the task: "Placement".
+        task: name of the task: "Placement", "DoubleSidedPlacement" or "PushLiftBox".
         difficulty: one of `smp_gym.scene.DIFFICULTIES` but "none", which has nothing to place.
         seed: not negative.
         version: version of the task's scene distribution.
@@ -85,32 +160,25 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
     Raises:
         ValueError: no such task or difficulty, or a negative seed or version.
     """
-    if task not in _TASKS:
-        raise ValueError(f"task must be one of {', '.join(_TASKS)}; got {task!r}")
+    if task not in _PLACE:
+        raise ValueError(f"task must be one of {', '.join(_PLACE)}; got {task!r}")
     crowded = [name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles]
     if difficulty not in crowded:
         raise ValueError(f"difficulty must be one of {', '.join(crowded)}; got {difficulty!r}")
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
-    specification = SPECIFICATIONS[difficulty]
     rng = generator(task, f"{difficulty}/without a witness", seed, version)
-    data = placement_task()
     for _ in range(_MAX_DRAWS):
-        goal = draw_bin(rng)
-        try:
-            configuration = release_configuration(data, goal)
-        except kinematics.UnreachableError:
-            continue
-        family = draw_family(data, (goal,), configuration, PROPOSALS, data.wide, rng)
-        rows = _choose_obstacles(data, specification, goal, family, rng)
-        if rows is not None:
+        placed = _PLACE[task](difficulty, rng)
+        if placed is not None:
+            start, goals, rows, manipulated = placed
             return Scene(
                 task=task,
                 version=version,
                 difficulty=difficulty,  # type: ignore[arg-type]
-                start=to_configuration(data.start),
-                manipulated=ManipulatedObject(),
-                goals=(goal,),
+                start=to_configuration(start),
+                manipulated=manipulated,
+                goals=goals,
                 obstacles=tuple(to_obstacle(row) for row in rows),
             )
     raise RuntimeError(f"no obstacles block enough in {task}, {difficulty}, seed {seed}")

@@ -26,26 +26,46 @@ _LIMIT_MARGIN = 0.05
 """Witness: distance (m) to table and bin, to itself, and (rad) to the joint limits."""
 
 
-def within_limits(trajectories: FloatArray) -> BoolArray:
-    """Return which of (..., T, 6) trajectories keep the joint limits and are quick enough."""
+def within_limits(trajectories: FloatArray, steps: float | None = None) -> BoolArray:
+    """Return which of (..., T, 6) trajectories keep the joint limits and are quick enough.
+
+    Args:
+        trajectories: rad.
+        steps: how many steps like theirs make a whole way; by default they are whole.
+    """
+    steps = trajectories.shape[-2] - 1.0 if steps is None else steps
     low = kinematics.JOINT_LOWER + _LIMIT_MARGIN
     high = kinematics.JOINT_UPPER - _LIMIT_MARGIN
     inside = ((trajectories > low) & (trajectories < high)).all(axis=(-2, -1))
-    rate = np.abs(np.diff(trajectories, axis=-2)).max(axis=-2) * (trajectories.shape[-2] - 1)
+    rate = np.abs(np.diff(trajectories, axis=-2)).max(axis=-2) * steps
     duration = (rate / kinematics.JOINT_VELOCITY).max(axis=-1)
     quick: BoolArray = inside & (duration <= _MAX_DURATION)
     return quick
 
 
 def is_witness(
-    task: Body, trajectory: FloatArray, bodies: FloatArray, rows: FloatArray, clearance: float
+    task: Body,
+    trajectory: FloatArray,
+    bodies: FloatArray,
+    rows: FloatArray,
+    clearance: float,
+    steps: float | None = None,
 ) -> bool:
-    """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`."""
-    if not within_limits(trajectory):
+    """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`.
+
+    Args:
+        task: whose body moves.
+        trajectory: rad.
+        bodies: (B, 9) rows that no moving sphere may touch.
+        rows: (M, 9) rows of obstacles.
+        clearance: m, to the obstacles.
+        steps: how many steps like the trajectory's make a whole way; by default it is whole.
+    """
+    if not within_limits(trajectory, steps):
         return False
     path = task.paths(trajectory)
     radius = task.spheres.radius
-    if (kernels.path_clearances(path, radius, rows, 1.0) < clearance).any():
+    if (kernels.path_clearances(path, radius, rows, clearance) < clearance).any():
         return False
     if task.push is not None:
         # Nothing may knock the object over before the push begins.
@@ -55,7 +75,8 @@ def is_witness(
             return False
     # The arm's base stands on the table: only the moving spheres have to keep clear of it.
     moving = np.ascontiguousarray(path[:, task.moving])
-    margins = kernels.path_clearances(moving, radius[task.moving], bodies, 1.0)
-    if (margins < FIXTURE_CLEARANCE).any():
+    enough = FIXTURE_CLEARANCE
+    margins = kernels.path_clearances(moving, radius[task.moving], bodies, enough)
+    if (margins < enough).any():
         return False
-    return bool(kernels.self_clearance(path, radius, task.pairs) >= _SELF_CLEARANCE)
+    return bool(kernels.clear_of_itself(path, radius, task.pairs, _SELF_CLEARANCE))

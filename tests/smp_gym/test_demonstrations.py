@@ -9,12 +9,12 @@ import gymnasium
 import numpy as np
 import pytest
 import typer
-from playback import play
 
 import smp_gym  # noqa: F401
 from smp_gym.demonstrations import FORMAT_VERSION, Demonstrations, resample
 from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, end_effector_pose
 from smp_gym.observation import CONTROL_PERIOD
+from smp_gym.playback import play
 from smp_gym.scene import BIN_INNER_HALF_WIDTH, Goal, ManipulatedObject, Scene
 from smp_gym.tasks.placement import HELD_OBJECT_POSE, NOMINAL_BIN, START_CONFIGURATION
 

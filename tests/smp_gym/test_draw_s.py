@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from playback import play
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +15,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, PEN_RADIUS, PEN_TIP
 from smp_gym.observation import MAX_EPISODE_STEPS, decode, encode_desired_goal
+from smp_gym.playback import play
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle
 from smp_gym.strokes import pen_path

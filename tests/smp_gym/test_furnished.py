@@ -6,7 +6,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
-from playback import play
+from smp_gym.playback import play
 
 import smp_gym  # noqa: F401
 from smp_gym import kinematics

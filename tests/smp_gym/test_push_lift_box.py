@@ -9,6 +9,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
 from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.playback import play
 from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
 from smp_gym.tasks.push_lift_box import (
@@ -35,8 +36,6 @@ ID = "smp_gym/PushLiftBox-v0"
 BOX = ManipulatedObject(position=(0.48, -0.14, 0.03), yaw=-0.25)
 TARGET = (0.4, 0.25, 0.32)
 DESIRED = np.array([*TARGET, 0.0, 1.0])
-CLOSING_STEPS = 20
-WAITING_STEPS = 10
 BLOCKED = ("easy", "medium", "hard")
 SEEDS = range(3)
 
@@ -66,34 +65,6 @@ def env():
 @pytest.fixture(scope="module")
 def shipped():
     return Demonstrations.load("PushLiftBox")
-
-
-def play(env, scene, trajectory, grasp, duration=None):
-    """Execute a (T, 6) trajectory and close the hand at sample `grasp`; return the last info."""
-    phase = np.linspace(0.0, 1.0, len(trajectory))
-    if duration is None:
-        rate = np.abs(np.gradient(trajectory, phase, axis=0)) / JOINT_VELOCITY
-        duration = rate.max() / 0.95
-    steps = int(np.ceil(duration / CONTROL_PERIOD))
-    close = round(grasp / (len(trajectory) - 1) * steps)
-    at = np.linspace(0.0, 1.0, steps + 1)
-    way = np.stack([np.interp(at, phase, column) for column in trajectory.T], axis=1)
-    targets = np.concatenate(
-        [
-            way[1 : close + 1],
-            np.repeat(way[close][None], CLOSING_STEPS, axis=0),
-            way[close + 1 :],
-            np.repeat(way[-1:], WAITING_STEPS, axis=0),
-        ]
-    )
-    observation, info = env.reset(options={"scene": scene})
-    for step, target in enumerate(targets, start=1):
-        move = (target - observation["observation"][6:12]) / (JOINT_VELOCITY * CONTROL_PERIOD)
-        action = np.append(np.clip(move, -1.0, 1.0), -1.0 if step <= close else 1.0)
-        observation, _, terminated, _, info = env.step(action.astype(np.float32))
-        if terminated:
-            break
-    return info
 
 
 @pytest.mark.parametrize(
@@ -201,14 +172,14 @@ def test_a_demonstration_succeeds_in_the_physics(env, shipped, number):
         env,
         shipped.scenes[number],
         shipped.configurations[number],
-        grasp,
         float(shipped.durations[number]),
+        grasp,
     )
     assert info["is_success"], info
 
 
 def test_without_closing_the_hand_the_box_stays_on_the_table(env, shipped):
-    info = play(env, shipped.scenes[0], shipped.configurations[0], len(shipped.mean) - 1)
+    info = play(env, shipped.scenes[0], shipped.configurations[0], grasp=len(shipped.mean) - 1)
     assert not info["is_success"]
     assert decode(env._observe(), "PushLiftBox").object.position[2] == pytest.approx(0.03, abs=2e-3)
 
@@ -233,10 +204,10 @@ def test_collision_of_the_hand_with_the_table(env):
 @pytest.mark.parametrize("difficulty", ["none", *BLOCKED])
 def test_witnesses_solve_their_scenes_in_the_physics(env, shipped, difficulty):
     grasp = shipped.metadata["push_samples"][1]
-    for seed in SEEDS:
+    for seed in range(10):
         drawn, witness = sample_with_witness("PushLiftBox", difficulty, seed)
         assert len(drawn.obstacles) == SPECIFICATIONS[difficulty].obstacles
-        info = play(env, drawn, witness, grasp)
+        info = play(env, drawn, witness, grasp=grasp)
         assert info["is_success"], (difficulty, seed, info)
 
 
@@ -279,7 +250,7 @@ def test_an_episode_is_the_same_bit_for_bit_whatever_was_played_before(shipped):
         step = made.step
         made.step = lambda action: seen.append(step(action)) or seen[-1]
         grasp = shipped.metadata["push_samples"][1]
-        info = play(made, shipped.scenes[0], shipped.configurations[0], grasp)
+        info = play(made, shipped.scenes[0], shipped.configurations[0], grasp=grasp)
         made.step = step
         assert info["is_success"]
         return b"".join(o[0][key].tobytes() for o in seen for key in sorted(o[0]))

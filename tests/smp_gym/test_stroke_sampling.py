@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from playback import play
+from smp_gym.playback import play
 from scipy.spatial.transform import Rotation
 
 from smp_gym import kinematics

@@ -65,6 +65,21 @@ def test_the_mean_is_blocked_and_its_ends_are_free(difficulty):
         env.close()
 
 
+@pytest.mark.parametrize(
+    ("task", "counts"), [("DoubleSidedPlacement", (4, 8, 7)), ("PushLiftBox", (2, 4, 6))]
+)
+def test_every_task_gives_playable_scenes_that_are_functions_of_their_seed(task, counts):
+    env = ManipulationEnv(task)
+    for difficulty, count in zip(CROWDED, counts, strict=True):
+        scene = place_without_witness(task, difficulty, 1)
+        assert scene == place_without_witness(task, difficulty, 1)
+        assert scene != place_without_witness(task, difficulty, 2)
+        assert len(scene.obstacles) == count
+        assert (scene.task, scene.difficulty, scene.seed) == (task, difficulty, None)
+        env.reset(options={"scene": scene})
+    env.close()
+
+
 def test_bad_arguments_list_what_exists():
     with pytest.raises(ValueError, match="Placement"):
         place_without_witness("Juggling", "easy", 0)

@@ -1,0 +1,75 @@
+"""Obstacles to choose from, with what is known of them: first from the grid, then exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.sampling import kernels
+from smp_gym.sampling.family import BLOCKING_DEPTH, Family
+
+__all__ = ["Candidates"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_DEPTH = BLOCKING_DEPTH + 0.01
+"""Metres: how deep an obstacle has to reach on the grid, whose guesses are the least of many and so
+rather too near."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Obstacles to choose from.
+
+    Attributes:
+        rows: (C, 9).
+        blocks: (C, P), which free proposals each blocks, on the grid or exactly.
+        clears: (C, N), from which possible witnesses each keeps its clearance, on the grid.
+        exact: (C,), where `blocks` is exact.
+    """
+
+    rows: FloatArray
+    blocks: BoolArray
+    clears: BoolArray
+    exact: BoolArray
+
+    @classmethod
+    def none(cls, family: Family, witnesses: int) -> Candidates:
+        """Return no candidates, for a family with so many possible witnesses."""
+        return cls(
+            np.empty((0, kernels.OBSTACLE_COLUMNS)),
+            np.empty((0, family.proposals), np.bool_),
+            np.empty((0, witnesses), np.bool_),
+            np.empty(0, np.bool_),
+        )
+
+    @classmethod
+    def guessed(cls, family: Family, rows: FloatArray, clears: BoolArray) -> Candidates:
+        """Return (C, 9) obstacles with what the grid says that they block."""
+        blocks = family.near(rows, -_DEPTH)[:, : family.proposals]
+        blocks &= family.free[: family.proposals]
+        return cls(rows, blocks, clears, np.zeros(len(rows), np.bool_))
+
+    def joined(self, other: Candidates) -> Candidates:
+        """Return these and others."""
+        return Candidates(
+            np.concatenate([self.rows, other.rows]),
+            np.concatenate([self.blocks, other.blocks]),
+            np.concatenate([self.clears, other.clears]),
+            np.concatenate([self.exact, other.exact]),
+        )
+
+    def most_blocking(self, count: int) -> FloatArray:
+        """Return the rows of those that block most."""
+        return self.rows[np.argsort(-self.blocks.sum(axis=1), kind="stable")[:count]]
+
+    def check(self, family: Family, chosen: list[int]) -> bool:
+        """Make `blocks` of the chosen exact, and return whether it was."""
+        guessed = [index for index in chosen if not self.exact[index]]
+        free = family.free[: family.proposals]
+        self.blocks[guessed] = family.blocked(self.rows[guessed]) & free
+        self.exact[guessed] = True
+        return not guessed

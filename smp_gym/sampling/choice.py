@@ -1,0 +1,211 @@
+"""The choice of obstacles that together block most and leave somebody clear."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from smp_gym.sampling.bits import ones, packed
+from smp_gym.sampling.specification import DifficultySpecification
+from smp_gym.scene import SHAPES
+
+__all__ = ["REPEATED", "apart", "choose", "widths"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_OVERLAP = 0.8
+"""How near the axes of obstacles may come, as a share of the sum of their widths."""
+
+_PAIRED = 128
+"""How many of the most blocking candidates are compared in pairs."""
+
+REPEATED = 0.1
+"""What blocking a proposal counts for each obstacle that blocks it already."""
+
+_SWEEPS = 2
+"""How often each of the chosen is put to the test against all others in its place."""
+
+
+def widths(rows: FloatArray) -> FloatArray:
+    """Return the (C,) horizontal radius of obstacles, m."""
+    widths: FloatArray = np.where(
+        rows[:, 0] == SHAPES.index("box"), np.hypot(rows[:, 6], rows[:, 7]), rows[:, 6]
+    )
+    return widths
+
+
+def apart(rows: FloatArray, others: FloatArray) -> BoolArray:
+    """Return (A, B), which obstacles stand beside or over which others."""
+    reach = _OVERLAP * (widths(rows)[:, None] + widths(others))
+    distance = np.hypot(rows[:, None, 1] - others[:, 1], rows[:, None, 2] - others[:, 2])
+    height = np.abs(rows[:, None, 3] - others[:, 3])
+    beside: BoolArray = (distance >= reach) | (height >= rows[:, None, 8] + others[:, 8])
+    return beside
+
+
+def choose(
+    rows: FloatArray,
+    blocks: BoolArray,
+    clears: BoolArray,
+    already: NDArray[np.int64],
+    specification: DifficultySpecification,
+) -> list[int] | None:
+    """Choose obstacles that block most and leave somebody clear.
+
+    The first two are the best of all pairs of the most blocking candidates, each further one adds
+    most, and then each is exchanged while another in its place adds more. A proposal that is
+    blocked already still counts a little, so that its neighbours, which were not drawn, are
+    blocked too.
+
+    Args:
+        rows: (C, 9) candidates.
+        blocks: (C, P), which proposals each blocks; proposal 0, the mean, must be blocked.
+        clears: (C, N), from which possible witnesses each keeps its clearance.
+        already: (P,), how many obstacles block a proposal without these.
+        specification: how many to choose, and how many of them, the last, on the table.
+
+    Returns:
+        Indices of the chosen; None if nobody would be left clear.
+    """
+    if specification.obstacles == 0:
+        return []
+    if not len(rows):
+        return None
+    order = np.argsort(-(blocks & (already == 0)).sum(axis=1), kind="stable")
+    chosen = _choose(
+        np.ascontiguousarray(rows[order]),
+        widths(rows)[order],
+        blocks[order],
+        clears[order],
+        already,
+        specification.obstacles,
+        specification.on_table,
+    )
+    return None if chosen[0] < 0 else [int(index) for index in order[chosen]]
+
+
+@njit(cache=True)
+def _beside(rows: FloatArray, width: FloatArray, a: int, b: int) -> bool:
+    """Return whether two obstacles stand beside or over one another."""
+    if abs(rows[a, 3] - rows[b, 3]) >= rows[a, 8] + rows[b, 8]:
+        return True
+    distance = math.hypot(rows[a, 1] - rows[b, 1], rows[a, 2] - rows[b, 2])
+    return distance >= _OVERLAP * (width[a] + width[b])
+
+
+@njit(cache=True)
+def _best_pair(
+    rows: FloatArray, width: FloatArray, blocks: NDArray[np.uint64], clears: NDArray[np.uint64]
+) -> tuple[int, int]:
+    """Return the two obstacles that together block most; the most blocking must come first.
+
+    Bit 0 of `blocks` must be set in one of them, and `clears` must have a bit in common.
+    """
+    first, second = -1, -1
+    best = np.int64(-1)
+    each = np.zeros(len(blocks), np.int64)
+    for i in range(len(blocks)):
+        for v in range(blocks.shape[1]):
+            each[i] += ones(blocks[i, v])
+    for i in range(len(blocks)):
+        if 2 * each[i] <= best:
+            break
+        for j in range(i + 1, len(blocks)):
+            # Those that follow block less still.
+            if each[i] + each[j] <= best:
+                break
+            if not (blocks[i, 0] | blocks[j, 0]) & np.uint64(1):
+                continue
+            total = np.int64(0)
+            for v in range(blocks.shape[1]):
+                total += ones(blocks[i, v] | blocks[j, v])
+            if total <= best or not _beside(rows, width, i, j):
+                continue
+            for w in range(clears.shape[1]):
+                if clears[i, w] & clears[j, w]:
+                    best, first, second = total, i, j
+                    break
+    return first, second
+
+
+@njit(cache=True)
+def _best_at(
+    slot: int,
+    chosen: NDArray[np.int64],
+    rows: FloatArray,
+    width: FloatArray,
+    blocks: BoolArray,
+    clears: NDArray[np.uint64],
+    already: NDArray[np.int64],
+    on_table: bool,
+) -> int:
+    """Return what is best in a slot beside the other chosen, -1 if nothing fits there."""
+    times = already.copy()
+    alive = np.full(clears.shape[1], ~np.uint64(0))
+    mean = already[0] > 0
+    for s in range(len(chosen)):
+        if s != slot and chosen[s] >= 0:
+            times += blocks[chosen[s]]
+            alive &= clears[chosen[s]]
+            mean = mean or blocks[chosen[s], 0]
+    weight = REPEATED**times
+    best, worth = -1, -1.0
+    for m in range(len(rows)):
+        if (on_table and rows[m, 3] != rows[m, 8]) or not (mean or blocks[m, 0]):
+            continue
+        value = 0.0
+        for n in range(blocks.shape[1]):
+            if blocks[m, n]:
+                value += weight[n]
+        if value <= worth:
+            continue
+        fits = False
+        for w in range(len(alive)):
+            fits = fits or (clears[m, w] & alive[w]) != 0
+        for s in range(len(chosen)):
+            if s != slot and chosen[s] >= 0 and not _beside(rows, width, m, chosen[s]):
+                fits = False
+        if fits:
+            best, worth = m, value
+    return best
+
+
+@njit(cache=True)
+def _choose(
+    rows: FloatArray,
+    width: FloatArray,
+    blocks: BoolArray,
+    clears: BoolArray,
+    already: NDArray[np.int64],
+    count: int,
+    on_table: int,
+) -> NDArray[np.int64]:
+    """Return the (count,) indices of the chosen, the first -1 if nobody would be left clear."""
+    chosen = np.full(count, -1)
+    words = packed(clears)
+    if count - on_table >= 2:
+        new = blocks[:_PAIRED] & (already == 0)
+        new[:, 0] |= already[0] > 0
+        pair = _best_pair(rows, width, packed(new), words[:_PAIRED])
+        if pair[0] < 0:
+            return chosen
+        chosen[0], chosen[1] = pair
+    for sweep in range(1 + _SWEEPS):
+        changed = False
+        for slot in range(count):
+            if sweep == 0 and chosen[slot] >= 0:
+                continue
+            table = slot >= count - on_table
+            best = _best_at(slot, chosen, rows, width, blocks, words, already, table)
+            if best < 0:
+                chosen[0] = -1
+                return chosen
+            changed = changed or best != chosen[slot]
+            chosen[slot] = best
+        if sweep > 0 and not changed:
+            break
+    return chosen

@@ -1,0 +1,352 @@
+"""Scenes of PushLiftBox.
+
+Every way leads the hand behind the box, along the push, and with the box to the target. The push
+is given with the box; the *approach* before it and the *lift* after it are legs, whose members
+combine. Obstacles keep clear of the push and leave few of the ways free, but one as witness.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym import kinematics
+from smp_gym.demonstrations import Demonstrations
+from smp_gym.sampling import kernels
+from smp_gym.sampling.body import Body
+from smp_gym.sampling.conversion import to_row
+from smp_gym.sampling.detours import smoothstep
+from smp_gym.sampling.inverse_kernels import reach_points, reach_pose
+from smp_gym.sampling.leg_obstacles import choose_on_legs, compare_on_legs, draw_on_legs
+from smp_gym.sampling.legs import (
+    Leg,
+    LegFamily,
+    Members,
+    draw_detours,
+    free_paths,
+    left_free,
+    make_family,
+)
+from smp_gym.sampling.obstacles import START_CLEARANCE
+from smp_gym.sampling.push_lift import draw_box, draw_target, standing
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
+from smp_gym.sampling.way import Draw
+from smp_gym.sampling.witness import is_witness
+from smp_gym.scene import TABLE, Goal, ManipulatedObject
+from smp_gym.tasks import push_lift_box
+
+__all__ = ["draw_push_lift"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
+"""Which share of the ways may stay free of obstacles."""
+
+_PROPOSALS = 48
+_TRIALS = 48
+_WIDE = 64
+_ALONE = 8
+"""Members of a leg: that obstacles are chosen by, fresh ones that the choice is tried on, and wider
+ones that may serve as witness; and members where there are no obstacles."""
+
+_PROPOSED_WIDTHS = (0.02, 0.07)
+_WIDE_WIDTHS = (0.05, 0.25)
+_PROPOSED_SHIFT = 0.05
+_WIDE_SHIFT = 0.15
+"""rad, standard deviations of the detours at the middle of a leg, and of the posture at the target
+about the demonstrated one: what a primitive leaves open, and what a witness may use."""
+
+_CANDIDATE_SETS = 3
+_MAX_CHOICES = 4
+"""How many sets of candidates are tried with a pair of families, how many choices with a set."""
+
+_PUSH_KNOTS = 5
+"""Configurations on the way of a push for which inverse kinematics is solved; between them it is
+interpolated."""
+
+_PUSH_STRIDE = 6
+_APPROACH_STRIDE = 6
+_LIFT_STRIDE = 5
+_OUTLINE_SPACING = 0.04
+"""Samples of push and legs, and m between the spheres of a link, by which candidates are compared.
+What is chosen is checked with all of them."""
+
+_BOX_CLEARANCE = 0.03
+_TARGET_CLEARANCE = 0.03
+"""m, of obstacles from the box on its way, and from the box held at the target."""
+
+_PUSH_SLACK = 0.005
+"""m, added to the clearance from the push, for what lies between its samples."""
+
+_TABLE_ROWS = np.array([to_row(TABLE)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Movement:
+    """What the demonstrations show, built once per process.
+
+    Attributes:
+        approach: to behind the box.
+        push: the body that pushes.
+        push_samples: of a witness, at which the push begins and ends.
+        near: (`_PUSH_KNOTS`, 6) rad, demonstrated at equal steps of the push's samples.
+        bearing: rad, of the demonstrated boxes as seen from the base.
+        lift: with the box in the hand.
+        held: (3,) m, the box's centre in the end-effector frame.
+    """
+
+    approach: Leg
+    push: Body
+    push_samples: tuple[int, int]
+    near: FloatArray
+    bearing: float
+    lift: Leg
+    held: FloatArray
+
+
+def _outline(spheres: kinematics.SphereSet, which: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return some of the given spheres: the greatest, with room between those of the same link."""
+    kept: list[int] = []
+    for index in which[np.argsort(-spheres.radius[which], kind="stable")]:
+        others = [k for k in kept if spheres.link[k] == spheres.link[index]]
+        apart = spheres.center[others] - spheres.center[index]
+        if (np.sqrt((apart**2).sum(axis=1)) >= _OUTLINE_SPACING).all():
+            kept.append(int(index))
+    return np.sort(np.array(kept))
+
+
+@functools.lru_cache(maxsize=1)
+def _movement() -> _Movement:
+    demonstrations = Demonstrations.load("PushLiftBox")
+    shown = demonstrations.configurations
+    begin, end = (int(sample) for sample in demonstrations.metadata["push_samples"])
+    held = np.array(demonstrations.metadata["object_in_hand"])
+    arm = kinematics.arm_spheres()
+    opened = kinematics.concatenate(arm, kinematics.finger_spheres(np.zeros(4)))
+    box = kinematics.box_spheres(ManipulatedObject().size, held)
+    fingers = kinematics.finger_spheres(demonstrations.metadata["finger_angles"])
+    closed = kinematics.concatenate(arm, fingers, box)
+
+    def body(spheres: kinematics.SphereSet, samples: slice, stride: int) -> Leg:
+        swept = np.flatnonzero(spheres.link >= 2)
+        return Leg(
+            demonstrations=shown[:, samples],
+            spheres=spheres,
+            # The box touches the table when it is pushed and lifted: that is no collision.
+            moving=swept[swept < len(opened)],
+            swept=swept,
+            pairs=kinematics.self_collision_pairs(spheres),
+            steps=shown.shape[1] - 1,
+            stride=stride,
+            outline=_outline(spheres, swept),
+        )
+
+    knots = np.linspace(begin, end, _PUSH_KNOTS).round().astype(int)
+    boxes = [scene.manipulated for scene in demonstrations.scenes]
+    places = np.array([box.position for box in boxes if box is not None and box.position])
+    return _Movement(
+        approach=body(opened, slice(0, begin + 1), _APPROACH_STRIDE),
+        push=body(opened, slice(begin, end + 1), _PUSH_STRIDE),
+        push_samples=(begin, end),
+        near=shown.mean(axis=0)[knots],
+        bearing=float(np.arctan2(places[:, 1], places[:, 0]).mean()),
+        lift=body(closed, slice(end, None), _LIFT_STRIDE),
+        held=held[:3, 3],
+    )
+
+
+def _push(movement: _Movement, box: ManipulatedObject) -> FloatArray:
+    """Return the configurations (T, 6) rad of the push of a box, from rest to rest.
+
+    Raises:
+        UnreachableError: the box is out of reach.
+    """
+    place = np.asarray(box.position)
+    poses = push_lift_box.push_poses(place, box.yaw, np.linspace(0.0, 1.0, _PUSH_KNOTS))
+    # The base's joint turns against the bearing.
+    turn = movement.bearing - np.arctan2(place[1], place[0])
+    knots = np.array(
+        [
+            reach_pose(pose, near + turn * np.eye(6)[0])
+            for pose, near in zip(poses, movement.near, strict=True)
+        ]
+    )
+    begin, end = movement.push_samples
+    share = smoothstep(np.linspace(0.0, 1.0, end - begin + 1))
+    at = np.linspace(0.0, 1.0, _PUSH_KNOTS)
+    # The polynomial through all knots (Lagrange): the joints' ways are smooth.
+    weights = [
+        np.prod([(share - other) / (knot - other) for other in at if other != knot], axis=0)
+        for knot in at
+    ]
+    return np.einsum("kt,kj->tj", np.array(weights), knots)
+
+
+@dataclass(frozen=True, eq=False)
+class _Episode:
+    """What is to be done: (6,) start, the box, (T, 6) its push, the goal."""
+
+    start: FloatArray
+    box: ManipulatedObject
+    push: FloatArray
+    goal: Goal
+
+    def members(self, proposals: int, wide: int, rng: np.random.Generator) -> list[Members]:
+        """Return random members of approach and lift, the means of both first."""
+        movement = _movement()
+        count = proposals + wide
+        widths = np.empty((count, 1, 1))
+        widths[:proposals, 0, 0] = rng.uniform(*_PROPOSED_WIDTHS, size=proposals)
+        widths[proposals:, 0, 0] = rng.uniform(*_WIDE_WIDTHS, size=wide)
+        shift = np.where(np.arange(count) < proposals, _PROPOSED_SHIFT, _WIDE_SHIFT)[:, None]
+        ends = np.tile(self.push[0], (count, 1))
+        members = []
+        for leg, begin in ((movement.approach, self.start), (movement.lift, self.push[-1])):
+            base = rng.integers(len(leg.demonstrations), size=count)
+            detours = widths * draw_detours(count, rng)
+            shifts = shift * rng.standard_normal((count, 6))
+            base[0], detours[0], shifts[0] = -1, 0.0, 0.0
+            if leg is movement.lift:
+                shown = leg.demonstrations[:, -1].mean(axis=0)
+                place = np.asarray(self.goal.position)
+                ends = reach_points(place, movement.held, shown + shifts)
+                ends = np.where(np.isnan(ends), ends[0], ends)
+                if np.isnan(ends[0]).any():
+                    raise kinematics.UnreachableError(f"no lift to {place} is near the shown ones")
+            members.append(Members(begin, ends, base, detours))
+        return members
+
+    def families(
+        self, proposals: int, wide: int, rng: np.random.Generator
+    ) -> tuple[LegFamily, LegFamily]:
+        """Draw families of approaches and lifts."""
+        movement = _movement()
+        approach, lift = self.members(proposals, wide, rng)
+        return (
+            make_family(movement.approach, approach, proposals),
+            make_family(movement.lift, lift, proposals),
+        )
+
+    def candidates(
+        self,
+        families: tuple[LegFamily, LegFamily],
+        specification: DifficultySpecification,
+        rng: np.random.Generator,
+    ) -> FloatArray:
+        """Return rows of obstacles on the legs, but not at start, push and target."""
+        movement = _movement()
+        rows = draw_on_legs(families, rng)
+        place = np.array(self.box.position)
+        ahead = np.array([np.cos(self.box.yaw), np.sin(self.box.yaw), 0.0])
+        way = np.linspace(0.0, push_lift_box.PUSH_LENGTH, 3)[:, None] * ahead
+        radius = np.array([np.linalg.norm(self.box.size)])
+        boxes = np.concatenate([place + way, [self.goal.position]])[:, None]
+        pushing = movement.push.paths(self.push[::_PUSH_STRIDE])
+        start = movement.approach.paths(self.start[None])
+        spheres = movement.push.spheres.radius
+        for path, of, enough in (
+            (boxes, radius, _BOX_CLEARANCE),
+            (start, spheres, START_CLEARANCE),
+            (pushing, spheres, specification.clearance + _PUSH_SLACK),
+        ):
+            rows = rows[kernels.path_clearances(path, of, rows, enough) >= enough]
+        return rows
+
+    def trials(self, rng: np.random.Generator) -> list[FloatArray]:
+        """Return paths of fresh proposals on both legs, their means first."""
+        movement = _movement()
+        members = self.members(_TRIALS, 0, rng)
+        legs = (movement.approach, movement.lift)
+        return [free_paths(leg, of_leg) for leg, of_leg in zip(legs, members, strict=True)]
+
+    def witness(
+        self,
+        families: tuple[LegFamily, LegFamily],
+        alive: list[BoolArray],
+        rows: FloatArray,
+        clearance: float,
+    ) -> FloatArray | None:
+        """Return a way (W, 6) rad that keeps its clearance from obstacles, checked densely."""
+        movement = _movement()
+        box = np.array([to_row(standing(self.box))])
+        if not is_witness(
+            movement.push, self.push, _TABLE_ROWS, rows, clearance, movement.approach.steps
+        ):
+            return None
+        parts = []
+        for family, may, bodies in zip(
+            families, alive, (np.concatenate([_TABLE_ROWS, box]), _TABLE_ROWS), strict=True
+        ):
+            leg = family.leg
+            for index in np.flatnonzero(may):
+                way = leg.trajectories(family.members[index : index + 1])[0]
+                if is_witness(leg, way, bodies, rows, clearance, leg.steps):
+                    parts.append(way)
+                    break
+            else:
+                return None
+        return np.concatenate([parts[0], self.push[1:], parts[1][1:]])
+
+
+def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
+    box, goal = draw_box(rng), draw_target(rng)
+    spread = np.asarray(push_lift_box.START_SPREAD)
+    start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
+    specification = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
+    try:
+        episode = _Episode(start, box, _push(_movement(), box), goal)
+        crowd = specification.obstacles > 0
+        families = episode.families(*((_PROPOSALS, _WIDE) if crowd else (_ALONE, 0)), rng)
+    except kinematics.UnreachableError:
+        return None
+    if not (families[0].free[0] and families[1].free[0]):
+        return None
+    none = np.empty((0, kernels.OBSTACLE_COLUMNS))
+    if not specification.obstacles:
+        witness = episode.witness(families, [family.able for family in families], none, 0.0)
+        return None if witness is None else Draw(start, (goal,), none, witness, box)
+    trials = episode.trials(rng)
+    for _ in range(_CANDIDATE_SETS):
+        drawn = _place(episode, families, trials, specification, rng)
+        if drawn is not None:
+            return drawn
+    return None
+
+
+def _place(
+    episode: _Episode,
+    families: tuple[LegFamily, LegFamily],
+    trials: list[FloatArray],
+    specification: DifficultySpecification,
+    rng: np.random.Generator,
+) -> Draw | None:
+    """Draw obstacles and find a witness; None if too many ways are free or none."""
+    movement = _movement()
+    rows = episode.candidates(families, specification, rng)
+    able = (families[0].able.copy(), families[1].able.copy())
+    candidates = compare_on_legs(rows, families, specification.clearance)
+    for _ in range(_MAX_CHOICES):
+        choice = choose_on_legs(candidates, able, specification)
+        if choice is None:
+            return None
+        chosen = candidates.rows[choice]
+        approach = left_free(movement.approach, trials[0], chosen)
+        lift = left_free(movement.lift, trials[1], chosen)
+        mean_free = approach[0] and lift[0]
+        if mean_free or approach.mean() * lift.mean() > specification.free_share:
+            return None
+        alive = [
+            may & clear[choice].all(axis=0)
+            for may, clear in zip(able, candidates.clears, strict=True)
+        ]
+        witness = episode.witness(families, alive, chosen, specification.clearance)
+        if witness is not None:
+            return Draw(episode.start, (episode.goal,), chosen, witness, episode.box)
+        for may, tried in zip(able, alive, strict=True):
+            may &= ~tried
+    return None
