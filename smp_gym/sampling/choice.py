@@ -57,8 +57,8 @@ def choose(
     """Choose obstacles that block most and leave somebody clear.
 
     The first two are the best of all pairs of the most blocking candidates, each further one adds
-    most, and then each is exchanged while another in its place adds more. A proposal that is
-    blocked already still counts a little, so that its neighbours, which were not drawn, are
+    most, and of more than two each is exchanged while another in its place adds more. A proposal
+    that is blocked already still counts a little, so that its neighbours, which were not drawn, are
     blocked too.
 
     Args:
@@ -194,7 +194,8 @@ def _choose(
         if pair[0] < 0:
             return chosen
         chosen[0], chosen[1] = pair
-    for sweep in range(1 + _SWEEPS):
+    # Two are the best of all pairs already.
+    for sweep in range(1 + (_SWEEPS if count > 2 else 0)):
         changed = False
         for slot in range(count):
             if sweep == 0 and chosen[slot] >= 0:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym import kinematics
-from smp_gym.sampling import kernels
+from smp_gym.sampling import kernels, strokes
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.candidates import Candidates
 from smp_gym.sampling.carrying import carry, release_configuration
@@ -35,7 +35,7 @@ from smp_gym.sampling.push_lift import draw_lift, lift_specification
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification, generator
 from smp_gym.sampling.way import MAX_CHOICES, PARENTS, ROUNDS
 from smp_gym.sampling.witness import WITNESS_SAMPLES
-from smp_gym.scene import DIFFICULTIES, Goal, ManipulatedObject, Scene
+from smp_gym.scene import DIFFICULTIES, TASKS, Goal, ManipulatedObject, Scene
 
 __all__ = ["place_without_witness"]
 
@@ -149,7 +149,7 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
     """Return the scene of (task, version, difficulty, seed) that is placed without a witness.
 
     Args:
-        task: name of the task: "Placement", "DoubleSidedPlacement" or "PushLiftBox".
+        task: name of the task, one of `smp_gym.scene.TASKS`.
         difficulty: one of `smp_gym.scene.DIFFICULTIES` but "none", which has nothing to place.
         seed: not negative.
         version: version of the task's scene distribution.
@@ -160,14 +160,17 @@ def place_without_witness(task: str, difficulty: str, seed: int, version: int = 
     Raises:
         ValueError: no such task or difficulty, or a negative seed or version.
     """
-    if task not in _PLACE:
-        raise ValueError(f"task must be one of {', '.join(_PLACE)}; got {task!r}")
+    if task not in TASKS:
+        raise ValueError(f"task must be one of {', '.join(TASKS)}; got {task!r}")
     crowded = [name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles]
     if difficulty not in crowded:
         raise ValueError(f"difficulty must be one of {', '.join(crowded)}; got {difficulty!r}")
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
     rng = generator(task, f"{difficulty}/without a witness", seed, version)
+    if task == "DrawS":
+        specification = SPECIFICATIONS[difficulty]
+        return strokes.place_without_witness(specification, rng, difficulty, seed, version)
     for _ in range(_MAX_DRAWS):
         placed = _PLACE[task](difficulty, rng)
         if placed is not None:

@@ -28,7 +28,7 @@ BoolArray = NDArray[np.bool_]
 
 _DEFAULT_OBJECT = ManipulatedObject()
 
-_FAMILIES = 2
+_FAMILIES = 4
 ROUNDS = 3
 MAX_CHOICES = 12
 """How many families are tried for a goal, how often candidates are added for a family, and how many

@@ -6,12 +6,12 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
-from smp_gym.playback import play
 
 import smp_gym  # noqa: F401
 from smp_gym import kinematics
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
+from smp_gym.playback import play
 from smp_gym.sampling import (
     sample_furniture,
     sample_furniture_with_witness,

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from smp_gym.playback import play
 from scipy.spatial.transform import Rotation
 
 from smp_gym import kinematics
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
+from smp_gym.playback import play
 from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness, strokes
 from smp_gym.sampling.stroke_ways import SCALE, drawing_body, sample_stroke, tip_path
 from smp_gym.scene import DIFFICULTIES, STROKE_POINTS, Scene
