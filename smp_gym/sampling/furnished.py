@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,14 @@ from smp_gym import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.carrying import release_configuration
-from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row, to_solid_row
+from smp_gym.sampling.conversion import to_configuration, to_row, to_solid_row
 from smp_gym.sampling.family import BLOCKING_DEPTH, Family, draw_family, member
 from smp_gym.sampling.furniture import FURNITURE, Place, draw_furniture
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.placing import double_sided_tasks, draw_bin, draw_pads, placement_task
 from smp_gym.sampling.scenes import sample_scene
 from smp_gym.sampling.specification import generator
-from smp_gym.sampling.way import Draw
+from smp_gym.sampling.way import Draw, first_scene
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import FAMILIES, FURNISHED_TASKS, Goal, Scene, fixtures
 
@@ -196,23 +197,8 @@ def sample_furniture_with_witness(
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
     rng = generator(task, f"furniture/{kind}", seed, version)
-    for _ in range(_MAX_DRAWS):
-        drawn = _DRAWS[task](kind, rng)
-        if drawn is not None:
-            break
-    else:
-        raise RuntimeError(f"no solvable scene found for {task}, {kind}, seed {seed}")
-    scene = Scene(
-        task=task,
-        version=version,
-        family=kind,  # type: ignore[arg-type]
-        seed=seed,
-        start=to_configuration(drawn.start),
-        manipulated=drawn.manipulated,
-        goals=drawn.goals,
-        obstacles=tuple(to_obstacle(row) for row in drawn.rows),
-    )
-    return scene, drawn.witness
+    draw = partial(_DRAWS[task], kind, rng)
+    return first_scene(draw, _MAX_DRAWS, task=task, version=version, family=kind, seed=seed)
 
 
 def sample_furniture(task: str, kind: str, seed: int, version: int = 0) -> Scene:

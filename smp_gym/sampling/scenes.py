@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.sampling import strokes
-from smp_gym.sampling.conversion import to_configuration, to_obstacle
 from smp_gym.sampling.placing import draw_double_sided, draw_placement
 from smp_gym.sampling.push_lift_scenes import draw_push_lift
 from smp_gym.sampling.specification import SPECIFICATIONS, generator
-from smp_gym.sampling.way import Draw
+from smp_gym.sampling.way import Draw, first_scene
 from smp_gym.scene import DIFFICULTIES, TASKS, Scene
 
 __all__ = ["sample_scene", "sample_with_witness"]
@@ -59,23 +59,10 @@ def sample_with_witness(
     rng = generator(task, difficulty, seed, version)
     if task == "DrawS":
         return strokes.sample(SPECIFICATIONS[difficulty], rng, difficulty, seed, version)
-    for _ in range(_MAX_DRAWS):
-        drawn = _DRAWS[task](difficulty, rng)
-        if drawn is not None:
-            break
-    else:
-        raise RuntimeError(f"no solvable scene found for {task}, {difficulty}, seed {seed}")
-    scene = Scene(
-        task=task,
-        version=version,
-        difficulty=difficulty,  # type: ignore[arg-type]
-        seed=seed,
-        start=to_configuration(drawn.start),
-        manipulated=drawn.manipulated,
-        goals=drawn.goals,
-        obstacles=tuple(to_obstacle(row) for row in drawn.rows),
+    draw = partial(_DRAWS[task], difficulty, rng)
+    return first_scene(
+        draw, _MAX_DRAWS, task=task, version=version, difficulty=difficulty, seed=seed
     )
-    return scene, drawn.witness
 
 
 def sample_scene(task: str, difficulty: str, seed: int, version: int = 0) -> Scene:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +15,14 @@ from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.candidates import Candidates
 from smp_gym.sampling.carrying import release_configuration
 from smp_gym.sampling.choice import apart, choose
-from smp_gym.sampling.conversion import to_configuration, to_row
+from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row
 from smp_gym.sampling.family import Family, draw_family, member
 from smp_gym.sampling.obstacles import draw_candidates, vary
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import Goal, ManipulatedObject, Scene, fixtures
 
-__all__ = ["MAX_CHOICES", "PARENTS", "ROUNDS", "Draw", "draw_way", "leaves_clear"]
+__all__ = ["MAX_CHOICES", "PARENTS", "ROUNDS", "Draw", "draw_way", "first_scene", "leaves_clear"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -50,6 +52,33 @@ class Draw:
     rows: FloatArray
     witness: FloatArray
     manipulated: ManipulatedObject = _DEFAULT_OBJECT
+
+
+def first_scene(
+    draw: Callable[[], Draw | None], attempts: int, **identity: Any
+) -> tuple[Scene, FloatArray]:
+    """Draw until goals, obstacles and a witness fit together; return scene and witness.
+
+    Args:
+        draw: draws once.
+        attempts: how often at most.
+        identity: fields of the `Scene` that say which it is: task, version, difficulty, seed.
+
+    Raises:
+        RuntimeError: nothing fitted together.
+    """
+    for _ in range(attempts):
+        drawn = draw()
+        if drawn is not None:
+            scene = Scene(
+                **identity,
+                start=to_configuration(drawn.start),
+                manipulated=drawn.manipulated,
+                goals=drawn.goals,
+                obstacles=tuple(to_obstacle(row) for row in drawn.rows),
+            )
+            return scene, drawn.witness
+    raise RuntimeError(f"no solvable scene found for {identity}")
 
 
 def draw_way(
