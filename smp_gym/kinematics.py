@@ -32,6 +32,8 @@ __all__ = [
     "PEN_END",
     "PEN_RADIUS",
     "PEN_TIP",
+    "REACH",
+    "SHOULDER_HEIGHT",
     "SphereSet",
     "UnreachableError",
     "arm_spheres",
@@ -112,6 +114,16 @@ GRASP_CENTER = _constant([0.022, 0.0, 0.0])
 
 PEN_TIP = _constant([0.14, 0.0, 0.0])
 """(3,) m, point of the pen in the end-effector frame; the pen lies on the frame's x axis."""
+
+REACH = float(
+    np.linalg.norm(JOINT_ORIGINS[2:, :3, 3], axis=1).sum()
+    + np.linalg.norm(END_EFFECTOR[:3, 3])
+    + np.linalg.norm(PEN_TIP)
+)
+"""m from the shoulder (joint 2), farther than which no point of the hand or of the pen ever is."""
+
+SHOULDER_HEIGHT = 0.2755
+"""m, of joint 2, which is on the base's axis to within 2 mm."""
 
 PEN_END = -0.02
 PEN_RADIUS = 0.006

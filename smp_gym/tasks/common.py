@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER
+from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.observation import GOAL_LAYOUTS
 from smp_gym.scene import Scene
 
-__all__ = ["POTENTIAL_PER_METRE", "check_still_and_startable", "goal_columns"]
+__all__ = ["POTENTIAL_PER_METRE", "check_playable", "goal_columns"]
 
 POTENTIAL_PER_METRE = 20.0
 """By how much the dense reward's potential rises on the way to the goal. The end of an episode, by
@@ -28,8 +28,8 @@ def goal_columns(task: str, name: str) -> slice:
     raise KeyError(name)
 
 
-def check_still_and_startable(scene: Scene) -> None:
-    """Raise ValueError if an obstacle moves or the start is outside the joint limits."""
+def check_playable(scene: Scene) -> None:
+    """Raise ValueError if an obstacle moves, or start or goals are out of the arm's reach."""
     moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
     if moving:
         raise ValueError(
@@ -41,3 +41,11 @@ def check_still_and_startable(scene: Scene) -> None:
             f"scene.start must lie between {JOINT_LOWER.round(4).tolist()} and "
             f"{JOINT_UPPER.round(4).tolist()} rad, got {start.tolist()}"
         )
+    for number, goal in enumerate(scene.goals):
+        for x, y, z in (goal.position, *goal.checkpoints):
+            # What is let go over a goal falls straight down to it.
+            if not (np.hypot(x, y) <= REACH and 0.0 <= z <= SHOULDER_HEIGHT + REACH):
+                raise ValueError(
+                    f"scene.goals[{number}] must lie within {REACH:.2f} m of the base's axis, 0 to "
+                    f"{SHOULDER_HEIGHT + REACH:.2f} m above the table, got {[x, y, z]} m"
+                )

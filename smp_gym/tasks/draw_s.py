@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smp_gym.kinematics import PEN_TIP
 from smp_gym.scene import STROKE_POINTS, Obstacle, Scene
 from smp_gym.tasks import stroke_kernels
-from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_still_and_startable
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -149,7 +149,7 @@ class DrawS:
         if [goal.kind for goal in scene.goals] != ["stroke"]:
             kinds = ", ".join(goal.kind for goal in scene.goals)
             raise ValueError(f"scene.goals must hold one stroke, got {kinds}")
-        check_still_and_startable(scene)
+        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import Scene
-from smp_gym.tasks.common import check_still_and_startable, goal_columns
+from smp_gym.tasks.common import check_playable, goal_columns
 from smp_gym.tasks.status import Status
 
 __all__ = ["GRASP_FINGER_ANGLES", "PlacingTask"]
@@ -59,7 +59,7 @@ class PlacingTask:
         kinds = [goal.kind for goal in scene.goals if goal.kind != self.support]
         if kinds:
             raise ValueError(f"scene.goals must be of kind {self.support!r}, got {kinds[0]!r}")
-        check_still_and_startable(scene)
+        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""

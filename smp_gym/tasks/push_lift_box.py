@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from smp_gym.scene import ManipulatedObject, Scene
 from smp_gym.tasks.common import (
     POTENTIAL_PER_METRE,
-    check_still_and_startable,
+    check_playable,
     goal_columns,
 )
 from smp_gym.tasks.status import Status
@@ -154,7 +154,7 @@ class PushLiftBox:
                 f"the target must be at least {half + TOLERANCE} m above the table, so that the "
                 f"box must be lifted; got {scene.goals[0].position[2]}"
             )
-        check_still_and_startable(scene)
+        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""

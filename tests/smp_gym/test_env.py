@@ -236,6 +236,8 @@ def test_a_scene_can_be_replayed_in_every_form(env, form):
         ({"scene": {**EMPTY.model_dump(), "obstacles": [{**BALL, "size": None}]}}, "size"),
         ({"scene": {**EMPTY.model_dump(), "obstacles": [{**BALL, "size": (0, 0, 0)}]}}, "size"),
         ({"scene": EMPTY.model_copy(update={"manipulated": None})}, "manipulated"),
+        ({"scene": scene_with(bin_position=(1.1, 0.9, 0.01))}, r"goals\[0\] .*\[1.1, 0.9, 0.01\]"),
+        ({"scene": scene_with(bin_position=(0.4, 0.3, -0.01))}, "above the table"),
     ],
 )
 def test_bad_scenes_are_refused_and_the_environment_stays_usable(env, options, message):

@@ -8,6 +8,9 @@ from smp_gym.kinematics import (
     JOINT_LOWER,
     JOINT_UPPER,
     LINKS,
+    PEN_TIP,
+    REACH,
+    SHOULDER_HEIGHT,
     UnreachableError,
     box_spheres,
     end_effector_pose,
@@ -98,6 +101,16 @@ def test_batches_of_any_shape_agree_with_single_configurations():
     poses = end_effector_pose(q)
     assert poses.shape == (2, 3, 4, 4)
     np.testing.assert_allclose(poses[1, 2], end_effector_pose(q[1, 2]))
+
+
+def test_no_point_of_the_pen_gets_beyond_its_reach():
+    # Stretched out nothing is lost but the small offsets that the joints have among themselves.
+    stretched = np.array([0.0, np.pi, np.pi, 0.0, np.pi, 0.0])
+    q = np.vstack([configurations(5000, seed=4), stretched])
+    tip = end_effector_pose(q) @ np.append(PEN_TIP, 1.0)
+    distance = np.linalg.norm(tip[:, :3] - (0.0, 0.0, SHOULDER_HEIGHT), axis=1)
+    assert (distance <= REACH + 0.002).all()
+    assert distance[-1] > REACH - 0.03
 
 
 @pytest.mark.parametrize("with_rotation", [False, True])
