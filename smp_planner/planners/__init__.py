@@ -21,14 +21,19 @@ PLANNERS: dict[str, type[PlannerModel]] = {
 
 TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
     ("smp", "DrawS"): {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
-    ("smp", "PushLiftBox"): {"smooth_std": 0.3, "iterations": 70, "retries": 2},
+    ("smp", "PushLiftBox"): {
+        "smooth_std": 0.6,
+        "obstacle_weight": 20.0,
+        "iterations": 70,
+        "retries": 2,
+    },
 }
 """Settings that a method (first) has for a task (second) in place of its own defaults.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
 it needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
-way, so the ways before and after it are short and must bend more sharply: with more freedom, fewer
-scenes need another try with wider draws, and fewer iterations do."""
+way, so the ways before and after it are short and must bend more sharply, too; fewer iterations do
+then."""
 
 
 def make_planner(
