@@ -20,7 +20,12 @@ PLANNERS: dict[str, type[PlannerModel]] = {
 
 
 TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
-    ("smp", "DrawS"): {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
+    ("smp", "DrawS"): {
+        "smooth_std": 0.4,
+        "obstacle_weight": 10.0,
+        "via_share": 0.25,
+        "retries": 2,
+    },
     ("smp", "PushLiftBox"): {
         "smooth_std": 0.6,
         "obstacle_weight": 20.0,
