@@ -1,4 +1,4 @@
-"""Against curves of known winding, signed crossings of a ray, and deformations known to be clear."""
+"""Against curves of known winding, signed crossings of a ray, and deformations that stay clear."""
 
 from itertools import pairwise
 
@@ -159,6 +159,18 @@ def test_ends_that_differ_a_little_divide_no_class(rng):
     assert {tuple(m) for m in modes.members} == {tuple(range(20)), tuple(range(20, 40))}
 
 
+def test_paths_are_joined_to_the_mean_ends(rng):
+    ends = rng.uniform(-0.4, 0.4, (2, 40, 1, 2))
+    paths = STRAIGHT + bulges(rng, 40)
+    paths += ends[0] * (1.0 - PHASE)[:, None] + ends[1] * PHASE[:, None]
+    start, end = paths[:, :1].mean(axis=0), paths[:, -1:].mean(axis=0)
+    expected = [
+        [ray_crossings(np.concatenate([start, path, end]), center) for center in CENTERS]
+        for path in paths
+    ]
+    np.testing.assert_array_equal(signatures_2d(paths, CENTERS), expected)
+
+
 def test_a_commutator_is_not_told_from_no_turn():
     # Around the first obstacle, the second, and both back in the same order: no winding in all,
     # though no deformation undoes it.
@@ -193,6 +205,12 @@ def test_in_space_a_path_passes_left_right_over_or_under():
     # The arcs over and under cross the obstacle's axis, where there is no winding number.
     np.testing.assert_array_equal(found[:, 0], [[-1, 0], [0, 0], [0, 1], [0, -1]])
     assert group(found).count == 4
+
+
+def test_the_level_is_that_between_the_samples():
+    rising = [[0.0, 0.0, -0.6], [1.0, 0.1, 1.0]]
+    assert signatures_3d([rising], BAR, 0.1).tolist() == [[[0, 1]]]
+    assert signatures_3d([rising], BAR, 0.3)[0, 0, 1] == 0
 
 
 def test_over_an_obstacle_either_side_of_the_axis_is_one_way():
