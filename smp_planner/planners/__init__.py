@@ -7,6 +7,7 @@ from typing import Any
 
 from smp_gym.demonstrations import Demonstrations
 from smp_planner.planners.base import PlannerModel
+from smp_planner.planners.cpromp import CProMPPlanner
 from smp_planner.planners.promp import ProMPPlanner
 from smp_planner.planners.rrt_connect import RRTConnectPlanner
 from smp_planner.planners.smp import SMPPlanner
@@ -14,16 +15,31 @@ from smp_planner.planners.smp import SMPPlanner
 __all__ = ["PLANNERS", "PlannerModel", "make_planner"]
 
 PLANNERS: dict[str, type[PlannerModel]] = {
-    cls.name: cls for cls in (SMPPlanner, ProMPPlanner, RRTConnectPlanner)
+    cls.name: cls
+    for cls in (
+        SMPPlanner,
+        ProMPPlanner,
+        CProMPPlanner,
+        RRTConnectPlanner,
+    )
 }
 """Planner classes by name."""
 
 
-TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
-    ("smp", "DrawS"): {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
-    ("smp", "PushLiftBox"): {"smooth_std": 0.3, "iterations": 70, "retries": 2},
+_ADAPTING = ("smp", "cpromp")
+
+_FREEDOM: dict[str, dict[str, Any]] = {
+    "DrawS": {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
+    "PushLiftBox": {"smooth_std": 0.3, "retries": 2},
 }
+
+TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
+    (method, task): dict(freedom) for task, freedom in _FREEDOM.items() for method in _ADAPTING
+}
+TASK_SETTINGS["smp", "PushLiftBox"]["iterations"] = 70
 """Settings that a method (first) has for a task (second) in place of its own defaults.
+
+Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
 it needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
