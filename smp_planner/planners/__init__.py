@@ -9,6 +9,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_planner.planners.base import PlannerModel
 from smp_planner.planners.cpromp import CProMPPlanner
 from smp_planner.planners.promp import ProMPPlanner
+from smp_planner.planners.prompt_o import ProMPTOPlanner
 from smp_planner.planners.rrt_connect import RRTConnectPlanner
 from smp_planner.planners.smp import SMPPlanner
 
@@ -20,13 +21,14 @@ PLANNERS: dict[str, type[PlannerModel]] = {
         SMPPlanner,
         ProMPPlanner,
         CProMPPlanner,
+        ProMPTOPlanner,
         RRTConnectPlanner,
     )
 }
 """Planner classes by name."""
 
 
-_ADAPTING = ("smp", "cpromp")
+_ADAPTING = ("smp", "cpromp", "prompt_o")
 
 _FREEDOM: dict[str, dict[str, Any]] = {
     "DrawS": {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
