@@ -9,6 +9,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_planner.planners.base import PlannerModel
 from smp_planner.planners.cpromp import CProMPPlanner
 from smp_planner.planners.promp import ProMPPlanner
+from smp_planner.planners.promp_diff import ProMPDiffPlanner
 from smp_planner.planners.prompt_o import ProMPTOPlanner
 from smp_planner.planners.rrt_connect import RRTConnectPlanner
 from smp_planner.planners.smp import SMPPlanner
@@ -22,13 +23,14 @@ PLANNERS: dict[str, type[PlannerModel]] = {
         ProMPPlanner,
         CProMPPlanner,
         ProMPTOPlanner,
+        ProMPDiffPlanner,
         RRTConnectPlanner,
     )
 }
 """Planner classes by name."""
 
 
-_ADAPTING = ("smp", "cpromp", "prompt_o")
+_ADAPTING = ("smp", "cpromp", "prompt_o", "promp_diff")
 
 _FREEDOM: dict[str, dict[str, Any]] = {
     "DrawS": {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},

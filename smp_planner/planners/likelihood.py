@@ -138,13 +138,16 @@ class Likelihood:
             trajectories: (P, T, 6) rad.
             progress: 0 in the first iteration to 1 in the last; narrows the map's edge.
         """
-        first, last = self._settings.edge_width
-        width = first * (last / first) ** progress
-        _, collision = self._collision(trajectories, width, self._settings.margin)
-        gradient = self._settings.obstacle_weight * collision
+        gradient = self._settings.obstacle_weight * self.obstacle_gradient(trajectories, progress)
         for weight, cost in self._terms.values():
             gradient += weight * cost(trajectories)[1]
         return gradient
+
+    def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
+        """Return the gradient (P, T, 6) of the collision cost alone, unweighted, as `gradient`."""
+        first, last = self._settings.edge_width
+        width = first * (last / first) ** progress
+        return self._collision(trajectories, width, self._settings.margin)[1]
 
     def _collision(
         self, trajectories: FloatArray, width: float, margin: float
