@@ -38,9 +38,8 @@ _FREEDOM: dict[str, dict[str, Any]] = {
 }
 
 TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
-    (method, task): dict(freedom) for task, freedom in _FREEDOM.items() for method in _ADAPTING
-}
-TASK_SETTINGS["smp", "PushLiftBox"]["iterations"] = 70
+    (method, task): freedom for task, freedom in _FREEDOM.items() for method in _ADAPTING
+} | {("smp", "PushLiftBox"): {**_FREEDOM["PushLiftBox"], "iterations": 70}}
 """Settings that a method (first) has for a task (second) in place of its own defaults.
 
 Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
