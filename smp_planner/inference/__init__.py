@@ -1,5 +1,15 @@
-"""Stein variational gradient descent: `init`, `step`, kernels, optimisers and schedules."""
+"""Variational inference: Stein's with particles, and its baseline with one Gaussian.
 
+`init` and `step` are those of Stein variational gradient descent, `init_gaussian` and
+`step_gaussian` those of the Gaussian.
+"""
+
+from smp_planner.inference.gaussian_vi import (
+    GaussianState,
+    GaussianVISettings,
+    init_gaussian,
+    step_gaussian,
+)
 from smp_planner.inference.kernels import RBF, median_bandwidth, median_over_log_bandwidth
 from smp_planner.inference.svgd import (
     SETTINGS,
@@ -14,12 +24,16 @@ from smp_planner.inference.svgd import (
 __all__ = [
     "RBF",
     "SETTINGS",
+    "GaussianState",
+    "GaussianVISettings",
     "SVGDSettings",
     "State",
     "init",
+    "init_gaussian",
     "median_bandwidth",
     "median_over_log_bandwidth",
     "named_settings",
     "stein_direction",
     "step",
+    "step_gaussian",
 ]

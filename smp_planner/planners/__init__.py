@@ -7,33 +7,45 @@ from typing import Any
 
 from smp_gym.demonstrations import Demonstrations
 from smp_planner.planners.base import PlannerModel
+from smp_planner.planners.cpromp import CProMPPlanner
 from smp_planner.planners.promp import ProMPPlanner
+from smp_planner.planners.promp_diff import ProMPDiffPlanner
+from smp_planner.planners.prompt_o import ProMPTOPlanner
 from smp_planner.planners.rrt_connect import RRTConnectPlanner
 from smp_planner.planners.smp import SMPPlanner
 
 __all__ = ["PLANNERS", "PlannerModel", "make_planner"]
 
 PLANNERS: dict[str, type[PlannerModel]] = {
-    cls.name: cls for cls in (SMPPlanner, ProMPPlanner, RRTConnectPlanner)
+    cls.name: cls
+    for cls in (
+        SMPPlanner,
+        ProMPPlanner,
+        CProMPPlanner,
+        ProMPTOPlanner,
+        ProMPDiffPlanner,
+        RRTConnectPlanner,
+    )
 }
 """Planner classes by name."""
 
 
+_ADAPTING = ("smp", "cpromp", "prompt_o", "promp_diff")
+
+_FREEDOM: dict[str, dict[str, Any]] = {
+    "DrawS": {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
+    "PushLiftBox": {"smooth_std": 0.6, "retries": 2},
+}
+
 TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
-    ("smp", "DrawS"): {
-        "smooth_std": 0.4,
-        "obstacle_weight": 10.0,
-        "via_share": 0.25,
-        "retries": 2,
-    },
-    ("smp", "PushLiftBox"): {
-        "smooth_std": 0.6,
-        "obstacle_weight": 20.0,
-        "iterations": 70,
-        "retries": 2,
-    },
+    (method, task): freedom for task, freedom in _FREEDOM.items() for method in _ADAPTING
+} | {
+    ("smp", "DrawS"): {**_FREEDOM["DrawS"], "via_share": 0.25},
+    ("smp", "PushLiftBox"): {**_FREEDOM["PushLiftBox"], "obstacle_weight": 20.0, "iterations": 70},
 }
 """Settings that a method (first) has for a task (second) in place of its own defaults.
+
+Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
 it needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the

@@ -10,7 +10,7 @@ from smp_gym.kinematics import finger_spheres as fingers
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
 from smp_planner.planners import PLANNERS, make_planner
-from smp_planner.planners.smp import Likelihood, SMPSettings
+from smp_planner.planners.likelihood import Likelihood, LikelihoodSettings
 from smp_planner.problem import GoalRegion, Planner, Problem
 from smp_planner.robot_model import jaco_model
 
@@ -127,7 +127,7 @@ def test_the_map_trained_from_the_scene_s_points_plans_too(scene):
 
 
 def test_the_gradient_is_that_of_the_costs(scene):
-    settings = SMPSettings(margin=0.0, edge_width=(0.02, 0.02), goal_sigma=0.05)
+    settings = LikelihoodSettings(margin=0.0, edge_width=(0.02, 0.02), goal_sigma=0.05)
     problem = problem_of(scene)
     likelihood = Likelihood(problem, jaco_model(problem.attached), settings)
     rng = np.random.default_rng(0)

@@ -1,0 +1,174 @@
+"""The paper's baselines: what each must do whatever the scene, and what it is worth in one."""
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from smp_gym.observation import decode
+from smp_gym.sampling import sample_scene
+from smp_gym.scene import Obstacle
+from smp_planner.planners import make_planner
+from smp_planner.problem import Problem
+from smp_planner.reading import problem_from
+from smp_planner.robot_model import jaco_model
+
+BASELINES = ("cpromp", "prompt_o", "promp_diff")
+SHIFTING = BASELINES[1:]
+SEEDS = (0, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def problems(placement):
+    return [placement(sample_scene("Placement", "medium", seed), seed=seed) for seed in SEEDS]
+
+
+@pytest.fixture(scope="module")
+def plans(problems):
+    """The plans of all baselines and of the control, without a second try."""
+    plans = {
+        name: make_planner(name, "Placement", settings={"retries": 0}).plan(problems)
+        for name in BASELINES
+    }
+    return plans | {"promp": make_planner("promp", "Placement").plan(problems)}
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_plan_is_whole_and_begins_at_rest_in_the_present_configuration(name, plans, problems):
+    for plan, problem in zip(plans[name], problems, strict=True):
+        assert plan.weights.shape == (42, 15, 6)
+        assert plan.trajectories.shape == (42, 200, 6)
+        start = np.tile(problem.start, (42, 1))
+        np.testing.assert_allclose(plan.trajectories[:, 0], start, atol=1e-9)
+        speed = np.abs(np.diff(plan.trajectories, axis=1))
+        assert (speed[:, [0, -1]].max(axis=(1, 2)) < 0.1 * speed.max(axis=(1, 2))).all()
+        assert set(plan.timings) == {"map", "conditioning", "inference", "verification"}
+        assert all(np.isfinite(cost).all() for cost in plan.costs.values())
+
+
+@pytest.mark.parametrize(("name", "share"), [("cpromp", 0.8), ("prompt_o", 0.3)])
+def test_most_particles_are_freed(name, share, plans):
+    free = np.mean([plan.collision_free for plan in plans[name]])
+    assert free > share > 5 * np.mean([plan.collision_free for plan in plans["promp"]])
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_good_particles_are_found_where_plain_draws_have_none(name, plans):
+    assert not any(control.good.any() for control in plans["promp"])
+    solved = [bool(plan.good[plan.chosen]) for plan in plans[name]]
+    assert sum(solved) >= len(SEEDS) - 1
+    for plan, control in zip(plans[name], plans["promp"], strict=True):
+        assert np.median(plan.clearance) > np.median(control.clearance)
+
+
+def latents(name, plan, problem):
+    """Return the standard normals (P, r) that a plan's weights are under the control's prior."""
+    control = make_planner("promp", "Placement")
+    primitive = control.tie(problem, jaco_model(problem.attached)).primitive
+    return primitive.whiten(torch.from_numpy(plan.weights.reshape(len(plan.weights), -1))).numpy()
+
+
+def test_cpromp_gives_up_spread_for_freedom(plans, problems):
+    for plan, control, problem in zip(plans["cpromp"], plans["promp"], problems, strict=True):
+        narrow, wide = (latents(name, p, problem) for name, p in (("c", plan), ("p", control)))
+        assert 0.2 < narrow.std(axis=0).mean() < 0.99 * wide.std(axis=0).mean()
+
+
+@pytest.mark.parametrize("name", SHIFTING)
+def test_the_covariance_stays_and_the_mean_moves(name, plans):
+    for plan, control in zip(plans[name], plans["promp"], strict=True):
+        shift = plan.weights - control.weights
+        np.testing.assert_allclose(shift, np.broadcast_to(shift[:1], shift.shape), atol=1e-9)
+        assert np.abs(shift).max() > 0.02
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, region):
+    """No obstacle within reach, a wide goal, no other cost: the control's draws come out again."""
+    problem = problems[0]
+    far = Obstacle(shape="sphere", position=(3.0, 3.0, 3.0), size=(0.05, 0.05, 0.05))
+    goal = region(problem.goals[0].center, half=(0.2, 0.2, 0.2))
+    free = Problem(problem.start, (far,), problem.attached, (goal,), seed=5)
+    nothing_else = {"self_collision_weight": 0.0, "velocity_weight": 0.0, "limit_weight": 0.0}
+    (plan,) = make_planner(name, "Placement", settings=nothing_else).plan([free])
+    (control,) = make_planner("promp", "Placement").plan([free])
+    np.testing.assert_allclose(plan.weights, control.weights, atol=1e-9)
+    assert plan.chosen == control.chosen
+
+
+def test_cpromp_without_obstacles_is_nearly_the_prior(problems):
+    """Its other costs, at their usual weights, take little from draws that have the way free."""
+    problem = problems[0]
+    free = Problem(problem.start, (), problem.attached, problem.goals, seed=5)
+    (plan,) = make_planner("cpromp", "Placement", settings={"particles": 1000}).plan([free])
+    drawn = latents("cpromp", plan, free)
+    assert np.linalg.norm(drawn.mean(axis=0)) < 1.5
+    assert np.cov(drawn.T).trace() / drawn.shape[1] == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_the_same_problem_gives_the_same_plan_whatever_came_before(name, problems):
+    planner = make_planner(name, "Placement", settings={"retries": 0, "iterations": 3})
+    (plan,) = planner.plan(problems[1:2])
+    again = planner.plan(problems[:2])[1]
+    np.testing.assert_array_equal(again.trajectories, plan.trajectories)
+    assert again.chosen == plan.chosen
+    (different,) = planner.plan([Problem(**vars(problems[1]) | {"seed": 77})])
+    assert not np.array_equal(different.trajectories, plan.trajectories)
+
+
+@pytest.fixture(scope="module")
+def two_sided():
+    env = gymnasium.make("smp_gym/DoubleSidedPlacement-v0", difficulty="easy")
+    observation, _ = env.reset(seed=0)
+    env.close()
+    return problem_from(decode(observation, "DoubleSidedPlacement"), seed=0)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_components_are_adapted_on_their_own_or_merged(name, two_sided):
+    quick = {"retries": 0, "planning_steps": 20, "iterations": 5}
+    each = make_planner(name, "DoubleSidedPlacement", settings=quick)
+    (plan,) = each.plan([two_sided])
+    assert [int((plan.components == c).sum()) for c in (0, 1)] == [21, 21]
+    merged = make_planner(name, "DoubleSidedPlacement", settings={**quick, "per_component": False})
+    (single,) = merged.plan([two_sided])
+    assert single.components is None
+    assert len(merged.mixture.components) == 1
+    # A component ends where its demonstrations did; one Gaussian is tied to the likelier of both.
+    robot = jaco_model(two_sided.attached)
+    sides = []
+    for planned in (plan, single):
+        ends = planned.trajectories[:, -1]
+        away = [
+            np.linalg.norm(robot.carried_points(ends, goal.point)[0] - goal.center, axis=1)
+            for goal in two_sided.goals
+        ]
+        sides.append(np.argmin(away, axis=0))
+    np.testing.assert_array_equal(sides[0], plan.components)
+    assert len(set(sides[1])) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("cpromp", {"iterations": 0}),
+        ("cpromp", {"step_size": 0.0}),
+        ("cpromp", {"draws": 0}),
+        ("cpromp", {"per_component": "both"}),
+        ("prompt_o", {"rounds": 0}),
+        ("prompt_o", {"iterations": 0}),
+        ("prompt_o", {"step_size": -1.0}),
+        ("prompt_o", {"pairs": 0}),
+        ("promp_diff", {"iterations": 0}),
+        ("promp_diff", {"flow_time": 0.0}),
+        ("promp_diff", {"longest_move": -0.1}),
+        ("promp_diff", {"fit_std": 0.0}),
+        ("promp_diff", {"taper": 0.6}),
+        ("promp_diff", {"taper": 0.0}),
+        ("promp_diff", {"inference": "paper"}),
+    ],
+)
+def test_settings_are_checked(name, settings):
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        make_planner(name, "Placement", settings=settings)
