@@ -40,7 +40,7 @@ _FREEDOM: dict[str, dict[str, Any]] = {
 TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
     (method, task): freedom for task, freedom in _FREEDOM.items() for method in _ADAPTING
 } | {
-    ("smp", "DrawS"): {**_FREEDOM["DrawS"], "via_share": 0.25},
+    ("smp", "DrawS"): {**_FREEDOM["DrawS"], "via_share": 0.25, "retries": 4},
     ("smp", "PushLiftBox"): {**_FREEDOM["PushLiftBox"], "obstacle_weight": 20.0, "iterations": 70},
 }
 """Settings that a method (first) has for a task (second) in place of its own defaults.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from smp_gym.kinematics import UnreachableError
 from smp_planner.planners.base import (
     Particles,
     PlannerModel,
@@ -64,8 +65,14 @@ class AdaptingPlanner(PlannerModel):
             likelihood = Likelihood(problem, robot, self.settings)
         best: Plan | None = None
         for attempt in range(self.settings.retries + 1):
-            with stopwatch.stage("conditioning"):
-                drawn = self.draw(problem, robot, 2.0**attempt, through=problem.via_points)
+            try:
+                with stopwatch.stage("conditioning"):
+                    drawn = self.draw(problem, robot, 2.0**attempt, through=problem.via_points)
+            except UnreachableError:
+                # So wide a primitive may be led astray from a goal that it reached before.
+                if best is None:
+                    raise
+                break
             with stopwatch.stage("inference"):
                 particles = [
                     replace(part, latent=self._adapt(problem, part, likelihood)) for part in drawn

@@ -9,10 +9,10 @@ import torch
 
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import PEN_TIP
+from smp_gym.kinematics import PEN_TIP, UnreachableError
 from smp_gym.observation import decode
 from smp_gym.sampling import sample_scene
-from smp_gym.scene import STROKE_POINTS
+from smp_gym.scene import STROKE_POINTS, Obstacle
 from smp_gym.strokes import pen_path
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners import TASK_SETTINGS, make_planner
@@ -171,7 +171,20 @@ def test_settings_of_a_task_give_way_to_those_that_are_given():
     assert make_planner("smp", "DrawS").settings.smooth_std == 0.4
     assert make_planner("smp", "Placement").settings.smooth_std == 0.2
     made = make_planner("smp", "DrawS", settings={"smooth_std": 0.3})
-    assert (made.settings.smooth_std, made.settings.retries) == (0.3, 2)
+    assert (made.settings.smooth_std, made.settings.via_share) == (0.3, 0.25)
+
+
+def test_a_retry_so_wide_that_it_misses_the_goal_ends_the_tries(env, demonstrations):
+    scene = sample_scene("DrawS", "easy", 1)
+    x, y, z = scene.goals[0].position
+    wall = Obstacle(shape="box", position=(x, y, z + 0.1), size=(0.06, 0.06, 0.1))
+    observation, _ = env.reset(options={"scene": scene.model_copy(update={"obstacles": (wall,)})})
+    problem = problem_from(decode(observation, "DrawS"), 0, checkpoint_phases(demonstrations))
+    planner = make_planner("smp", "DrawS", settings={"iterations": 2, "particles": 4, "retries": 7})
+    with pytest.raises(UnreachableError):
+        planner.draw(problem, jaco_with(problem), 2.0**7, through=problem.via_points)
+    (plan,) = planner.plan([problem])
+    assert not plan.good.any()
 
 
 def test_only_particles_that_pass_are_good():
