@@ -334,8 +334,11 @@ def test_jobs_must_be_positive(tmp_path: Path) -> None:
 
 
 SLOW_RUN = """
+import signal
 import sys
 
+# What runs in the background of a shell may have been told to disregard it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path[:0] = {paths!r}
 from pathlib import Path
 
