@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -24,7 +25,7 @@ _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
 
 
 @dataclass(frozen=True)
-class PlacingTask:
+class PlacingTask(ABC):
     """A task that begins with the object in the hand and ends with it at rest somewhere.
 
     The held object may touch nothing but the hand. Once let go and come to rest it has been placed,
@@ -76,9 +77,9 @@ class PlacingTask:
         """Return whether goals (..., G) tell of a collision, (...)."""
         return achieved[..., self._flag("collided")] > 0.5
 
+    @abstractmethod
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., G) are reached, (...)."""
-        raise NotImplementedError
 
     def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of an object let go and at rest elsewhere, (...)."""
