@@ -1,0 +1,63 @@
+"""What a primitive of one's own is adapted with; all lengths are in extents."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["AdaptSettings", "FitSettings"]
+
+
+class FitSettings(BaseModel):
+    """How a primitive is learned.
+
+    An extent is the longest side of the box around all demonstrations; for a robot it is 1 rad, so
+    that these are plain radians there.
+
+    Attributes:
+        smooth_std: extents, freedom added to what the demonstrations teach; see `ProMP.fit`.
+        smooth_length_scale: of that freedom, in phase.
+        basis: K basis functions.
+        modes: 1 forces one Gaussian; None lets the demonstrations decide (`demonstrated_modes`).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    smooth_std: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
+    smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    basis: int = Field(default=15, ge=4)
+    modes: int | None = Field(default=None, ge=1)
+
+
+class AdaptSettings(BaseModel):
+    """Map and costs of an adaptation.
+
+    Attributes:
+        map: "exact" asks the obstacles themselves; "neural" trains a network from labelled points of
+            the scene, the paper's way (Eq. (12)), which takes seconds.
+        map_points: how many points "neural" learns from.
+        planning_steps: steps of phase at which costs are evaluated.
+        samples: T of the trajectories that are returned.
+        obstacle_weight: λ of Eq. (12), for the mean over all spheres of sums scaled to
+            `costs.REFERENCE_STEPS` steps; a path without a robot is one sphere.
+        margin: extents (m for a robot), by which spheres are enlarged while planning.
+        edge_width: same unit, width of the map's edge in the first and the last iteration.
+        sigma: extents, tails of boxes and standard deviation of points that are not conditioned on.
+        modulation: "exact" conditions the primitive on points in closed form, "likelihood" leaves
+            them to their costs, the paper's way (Eq. (13)). Boxes always are costs (Eq. (14)).
+        retries: how often a scene without a good particle is tried again with twice the freedom.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    map: Literal["exact", "neural"] = "exact"
+    map_points: int = Field(default=50_000, ge=100)
+    planning_steps: int = Field(default=50, ge=10)
+    samples: int = Field(default=200, ge=2)
+    obstacle_weight: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
+    margin: float = Field(default=0.01, ge=0.0, allow_inf_nan=False)
+    edge_width: tuple[float, float] = (0.05, 0.01)
+    sigma: float = Field(default=0.005, gt=0.0, allow_inf_nan=False)
+    modulation: Literal["exact", "likelihood"] = "exact"
+    retries: int = Field(default=1, ge=0)
