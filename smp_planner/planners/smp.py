@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import torch
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import Tensor
 
 from smp_gym.demonstrations import Demonstrations
@@ -29,9 +28,15 @@ class SMPSettings(AdaptingSettings):
         step_size: of its first iteration; None takes the inference's own.
     """
 
-    inference: Literal["default", "paper", "no_repulsion"] = "default"
+    inference: str = "default"
     iterations: int = Field(default=100, ge=1)
     step_size: float | None = Field(default=None, gt=0.0)
+
+    @field_validator("inference")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        named_settings(value)
+        return value
 
 
 class SMPPlanner(AdaptingPlanner):
@@ -62,19 +67,23 @@ class SMPPlanner(AdaptingPlanner):
         primitive, whiten = drawn.tied.primitive, self._inference.whiten
         values = primitive.basis.values(phases(self.settings.planning_steps))
         shape = (-1, primitive.basis.count, primitive.dimension)
-        state = init(drawn.latent if whiten else primitive.unwhiten(drawn.latent), self._inference)
-        for iteration in range(self._inference.iterations):
+        inference = self._inference
+        if inference.needs_metric:
+            root = primitive.path_root(self.settings.planning_steps)
+            inference = inference.with_metric(primitive.whiten_gradient(root) if whiten else root)
+        state = init(drawn.latent if whiten else primitive.unwhiten(drawn.latent), inference)
+        for iteration in range(inference.iterations):
             particles = state.particles
             weights = primitive.unwhiten(particles) if whiten else particles
             trajectories = (values @ weights.reshape(shape)).numpy()
-            progress = iteration / max(self._inference.iterations - 1, 1)
+            progress = iteration / max(inference.iterations - 1, 1)
             gradient = torch.from_numpy(likelihood.gradient(trajectories, progress))
             pulled = (values.mT @ gradient).flatten(-2)
             if whiten:
                 prior_score, score = -particles, -primitive.whiten_gradient(pulled)
             else:
                 prior_score, score = primitive.score(particles), -pulled
-            state = step(state, prior_score, score, self._inference)
+            state = step(state, prior_score, score, inference)
             if not whiten:
                 # Raw weights leave what conditioning made certain, the start above all.
                 state = state._replace(particles=primitive.project(state.particles))
