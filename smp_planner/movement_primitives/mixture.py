@@ -29,28 +29,33 @@ of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % lo
 FEWEST = 3
 """Demonstrations that make a mode; fewer are odd ones of another."""
 
+_SAMPLES = 200
+"""Phases at which the distance of two paths is taken."""
+
 
 def demonstrated_modes(
     demonstrations: Iterable[Tensor | NDArray[Any]], basis: GaussianBasis | None = None
 ) -> tuple[tuple[int, ...], ...]:
     """Return the groups that demonstrations fall into, as tuples of their indices.
 
-    Each demonstration is given the weights that fit it best. A group is divided by 2-means, begun
-    at the two members that are farthest apart, if the two halves lie `SEPARATION` times farther
-    from each other than their radii (root mean square distance from the mean) amount to; then
-    their halves are looked at. Fewer than `FEWEST` demonstrations are no mode.
+    Each demonstration is given the weights that fit it best; the distance of two is that of their
+    paths. A group is divided by 2-means, begun at the two members that are farthest apart, if the
+    two halves lie `SEPARATION` times farther from each other than their radii (root mean square
+    distance from the mean) amount to; then their halves are looked at. Fewer than `FEWEST`
+    demonstrations are no mode.
 
     Args:
         demonstrations: N arrays (T_j, D).
         basis: default `GaussianBasis()`.
     """
     basis = basis or GaussianBasis()
-    weights = []
+    common = basis.values(phases(_SAMPLES))
+    points = []
     for demonstration in demonstrations:
         path = torch.as_tensor(np.array(demonstration, np.float64))
         values = basis.values(phases(len(path), dtype=path.dtype))
-        weights.append((torch.linalg.pinv(values) @ path).flatten().numpy())
-    return _divided(np.stack(weights), tuple(range(len(weights))))
+        points.append((common @ torch.linalg.pinv(values) @ path).flatten().numpy())
+    return _divided(np.stack(points), tuple(range(len(points))))
 
 
 def _divided(weights: NDArray[np.float64], group: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
