@@ -150,7 +150,7 @@ class SMP:
             radius: of the ball that moves; 0 is a point.
             particles: P.
             seed: of all randomness; the same call gives the same plan.
-            method: one of `METHODS`, or an instance of a way to adapt, whose lengths are in extents.
+            method: one of `METHODS`, or a way to adapt; its lengths are in extents.
             per_component: whether each mode of the demonstrations is adapted on its own; if not,
                 one Gaussian stands for all of them, as the paper's baselines have it.
             settings: map and costs.

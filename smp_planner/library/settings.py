@@ -34,8 +34,8 @@ class AdaptSettings(BaseModel):
     """Map and costs of an adaptation.
 
     Attributes:
-        map: "exact" asks the obstacles themselves; "neural" trains a network from labelled points of
-            the scene, the paper's way (Eq. (12)), which takes seconds.
+        map: "exact" asks the obstacles themselves; "neural" trains a network from labelled points
+            of the scene, the paper's way (Eq. (12)), which takes seconds.
         map_points: how many points "neural" learns from.
         planning_steps: steps of phase at which costs are evaluated.
         samples: T of the trajectories that are returned.
