@@ -30,6 +30,7 @@ from smp_gym.env import ManipulationEnv
 from smp_gym.observation import STATE_LAYOUT
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
+from smp_planner.benchmark.options import chosen_names
 
 ROLLOUT_STEPS = 60
 """Steps of an episode that is compared; it goes on past its first collision."""
@@ -226,11 +227,7 @@ def main(
 ) -> None:
     """Check environments and print a table; a check that fails ends the script with its error."""
     console = Console()
-    chosen = ids.split(",") if ids else [entry.id for entry in smp_gym.ENVIRONMENTS]
-    known = [entry.id for entry in smp_gym.ENVIRONMENTS]
-    for id in chosen:
-        if id not in known:
-            raise typer.BadParameter(f"ids must be of {', '.join(known)}; got {id!r}")
+    chosen = chosen_names(ids, [entry.id for entry in smp_gym.ENVIRONMENTS], "--ids")
     table = Table(title=f"{steps} random steps, {resets} resets", title_justify="left")
     table.add_column("id", no_wrap=True)
     for name in (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import multiprocessing
-from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from typing import Annotated, Any
 
@@ -19,6 +18,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.playback import play
 from smp_gym.sampling import sample_with_witness
 from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.options import chosen_names
 from smp_planner.benchmark.report import rate_interval
 
 
@@ -41,14 +41,6 @@ def solves(cell: tuple[str, str, int]) -> bool:
     return bool(play(_env(task), scene, witness, grasp=_grasp(task))["is_success"])
 
 
-def _names(text: str, known: Iterable[str], option: str) -> list[str]:
-    names = text.split(",")
-    for name in names:
-        if name not in known:
-            raise typer.BadParameter(f"{option} must be of {', '.join(known)}; got {name!r}")
-    return names
-
-
 def main(
     tasks: Annotated[str, typer.Option(help="Names of tasks, separated by commas.")] = ",".join(
         TASKS
@@ -63,8 +55,8 @@ def main(
     """Play witnesses; the exit status is 1 if one fails."""
     groups = [
         (task, difficulty)
-        for task in _names(tasks, TASKS, "--tasks")
-        for difficulty in _names(difficulties, DIFFICULTIES, "--difficulties")
+        for task in chosen_names(tasks, TASKS, "--tasks")
+        for difficulty in chosen_names(difficulties, DIFFICULTIES, "--difficulties")
     ]
     seeds = range(seed, seed + episodes)
     cells = [(task, difficulty, number) for task, difficulty in groups for number in seeds]

@@ -20,6 +20,7 @@ from rich.progress import track
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
+from smp_planner.benchmark.options import chosen_names
 
 _COLUMNS = 4
 _WIDTH, _HEIGHT = 400, 300
@@ -61,17 +62,6 @@ def draw(path: Path, title: str, seeds: range, scenes: list[NDArray[np.uint8]]) 
     figure.savefig(path)
 
 
-def chosen(names: str, known: tuple[str, ...], option: str) -> list[str]:
-    """Return the names in a list separated by commas; all known ones for an empty list."""
-    listed = [name.strip() for name in names.split(",")] if names else list(known)
-    for name in listed:
-        if name not in known:
-            raise typer.BadParameter(
-                f"must be of {', '.join(known)}; got {name!r}", param_hint=f"--{option}"
-            )
-    return listed
-
-
 def main(
     out: Annotated[Path, typer.Option(help="Folder of the sheets.")] = Path("results/scenes"),
     tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
@@ -88,8 +78,8 @@ def main(
         )
     cells = [
         (task, difficulty)
-        for task in chosen(tasks, TASKS, "tasks")
-        for difficulty in chosen(difficulties, DIFFICULTIES, "difficulties")
+        for task in chosen_names(tasks, TASKS, "--tasks")
+        for difficulty in chosen_names(difficulties, DIFFICULTIES, "--difficulties")
     ]
     out.mkdir(parents=True, exist_ok=True)
     console = Console()

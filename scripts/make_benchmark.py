@@ -23,6 +23,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.frozen import FrozenEpisode, write_episodes
 from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS, Scene
+from smp_planner.benchmark.options import chosen_names
 from smp_planner.policy import PlannerPolicy
 
 CROWDED = tuple(name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles)
@@ -97,11 +98,8 @@ def main(
 ) -> None:
     """Make lists and write them to OUT."""
     console = Console()
-    chosen_tasks, chosen = tasks.split(","), difficulties.split(",")
-    for kind, names, known in (("task", chosen_tasks, TASKS), ("difficulty", chosen, CROWDED)):
-        for name in names:
-            if name not in known:
-                raise typer.BadParameter(f"{kind} must be one of {', '.join(known)}; got {name!r}")
+    chosen_tasks = chosen_names(tasks, TASKS, "--tasks")
+    chosen = chosen_names(difficulties, CROWDED, "--difficulties")
     if episodes % 2:
         raise typer.BadParameter(f"episodes must be even, got {episodes}")
     out.mkdir(parents=True, exist_ok=True)

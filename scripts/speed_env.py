@@ -22,6 +22,7 @@ from rich.table import Table
 
 import smp_gym
 from smp_gym.scene import Scene
+from smp_planner.benchmark.options import chosen_names, split_names
 
 PANDA = "PandaPickAndPlace-v3"
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -119,10 +120,16 @@ def main(
     """Measure and print a table."""
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     console = Console()
-    chosen = ids.split(",") if ids else [entry.id for entry in smp_gym.ENVIRONMENTS]
-    if not ids and importlib.util.find_spec("panda_gym"):
-        chosen.append(PANDA)
-    numbers = [int(number) for number in processes.split(",")]
+    known = [entry.id for entry in smp_gym.ENVIRONMENTS]
+    if importlib.util.find_spec("panda_gym"):
+        known.append(PANDA)
+    chosen = chosen_names(ids, known, "--ids")
+    try:
+        numbers = [int(number) for number in split_names(processes)]
+    except ValueError:
+        raise typer.BadParameter(
+            f"must be whole numbers, got {processes!r}", param_hint="--processes"
+        ) from None
     title = f"all processes together, on {os.cpu_count()} cores"
     result = Table(title=title, title_justify="left")
     result.add_column("id", no_wrap=True)

@@ -12,6 +12,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from smp_planner.benchmark.options import split_names
+
 if TYPE_CHECKING:
     from smp_planner.benchmark.episodes import EpisodeRow
     from smp_planner.benchmark.store import Manifest
@@ -55,10 +57,6 @@ def _console(error: bool = False) -> Console:
 def _fail(message: str, code: int) -> typer.Exit:
     _console(error=True).print(f"[bold red]error:[/] {escape(message)}", soft_wrap=True)
     return typer.Exit(code)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 @app.command("list")
@@ -148,8 +146,8 @@ def run(
     first = seed if seed is not None else 0 if frozen else _FIRST_SEED
     try:
         manifest = make_manifest(
-            _names(tasks),
-            _names(methods),
+            split_names(tasks),
+            split_names(methods),
             difficulty,
             first,
             episodes,

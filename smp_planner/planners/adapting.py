@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -10,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from torch import Tensor
 
 from smp_gym.kinematics import UnreachableError
+from smp_planner.adaptation import Adaptation
 from smp_planner.planners.base import (
     Particles,
     PlannerModel,
@@ -28,8 +27,8 @@ __all__ = ["AdaptingPlanner", "AdaptingSettings"]
 FloatArray = NDArray[np.float64]
 
 
-class AdaptingSettings(LikelihoodSettings):
-    """Settings of planners that adapt the primitive.
+class AdaptingSettings(LikelihoodSettings, Adaptation):
+    """Settings of planners that adapt the primitive: the way they do it, and how often they try.
 
     Attributes:
         retries: how often a scene without a good particle is tried again with twice the width.
@@ -48,16 +47,6 @@ class AdaptingPlanner(PlannerModel):
     Settings: ClassVar[type[PlannerSettings]] = AdaptingSettings
     settings: AdaptingSettings
 
-    @abstractmethod
-    def _adapt(self, problem: Problem, drawn: Particles, likelihood: Likelihood) -> Tensor:
-        """Return the adapted particles (P_c, r) of a component, in its whitened coordinates.
-
-        Args:
-            problem: to be solved.
-            drawn: the component, and draws from it.
-            likelihood: of the scene.
-        """
-
     def _plan(self, problem: Problem) -> Plan:
         stopwatch = Stopwatch()
         with stopwatch.stage("map"):
@@ -74,9 +63,7 @@ class AdaptingPlanner(PlannerModel):
                     raise
                 break
             with stopwatch.stage("inference"):
-                particles = [
-                    replace(part, latent=self._adapt(problem, part, likelihood)) for part in drawn
-                ]
+                particles = [self._adapted(problem, part, likelihood) for part in drawn]
                 costs = self._costs(particles, likelihood)
             plan = self.plan_of(problem, robot, particles, costs, stopwatch)
             if best is None or plan.good.any() > best.good.any():
@@ -85,6 +72,11 @@ class AdaptingPlanner(PlannerModel):
                 break
         assert best is not None
         return replace(best, timings=stopwatch.timings)
+
+    def _adapted(self, problem: Problem, drawn: Particles, likelihood: Likelihood) -> Particles:
+        rng = np.random.default_rng([problem.seed, 3, drawn.component])
+        latent = self.settings.adapt(drawn.tied.primitive, drawn.latent, likelihood, rng)
+        return replace(drawn, latent=latent)
 
     def _costs(
         self, particles: Sequence[Particles], likelihood: Likelihood

@@ -105,7 +105,7 @@ class Likelihood:
     """
 
     def __init__(self, problem: Problem, robot: RobotModel, settings: LikelihoodSettings) -> None:
-        self._settings = settings
+        self._problem, self._settings = problem, settings
         stages = problem.stages or (Stage(0.0, 1.0, robot.spheres, problem.obstacles),)
         maps: dict[tuple[Obstacle, ...], DistanceGrid] = {}
         for stage in stages:
@@ -130,6 +130,18 @@ class Likelihood:
         if problem.via_points:
             terms["via_points"] = (1.0, _via_cost(problem, robot, settings))
         self._terms = {name: term for name, term in terms.items() if term[0] > 0.0}
+
+    @property
+    def steps(self) -> int:
+        """Equal steps of phase at which it is evaluated."""
+        return self._settings.planning_steps
+
+    @property
+    def pins(self) -> FloatArray:
+        """Phases at which paths are held: both ends, via-points and via-poses; ascending."""
+        passed = [via.phase for via in self._problem.via_points]
+        passed += [via.phase for via in self._problem.via_poses]
+        return np.unique(np.round([0.0, 1.0, *passed], 9))
 
     def gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, 6) of the weighted sum of costs.

@@ -1,0 +1,45 @@
+"""Gaussian variational inference over the weights. The baseline CProMPs."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from smp_planner.adaptation.gaussian import GaussianAdaptation
+from smp_planner.adaptation.target import Target, latent_gradient
+from smp_planner.inference import GaussianVISettings, init_gaussian, step_gaussian
+from smp_planner.movement_primitives import ProMP
+
+__all__ = ["GaussianVI"]
+
+
+class GaussianVI(GaussianAdaptation):
+    """The Gaussian that is nearest to the posterior, Eq. (9), Q being all Gaussians.
+
+    Minimised is λ E[C(m + L ε)] + KL(q || p) (Eq. (10), read as the expectation of the negative
+    log-likelihood), over mean and a full Cholesky factor, in the whitened coordinates of the prior.
+
+    Attributes:
+        iterations: of the optimiser.
+        step_size: of its first iteration, in standard deviations of the prior.
+        draws: standard normals in each iteration, over which the costs are averaged.
+    """
+
+    iterations: int = Field(default=200, ge=1)
+    step_size: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    draws: int = Field(default=42, ge=1)
+
+    def adapt_gaussian(
+        self, primitive: ProMP, target: Target, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Return mean and factor of that Gaussian."""
+        inference = GaussianVISettings(step_size=self.step_size, iterations=self.iterations)
+        state = init_gaussian(primitive.rank, inference)
+        for iteration in range(self.iterations):
+            noise = torch.from_numpy(rng.standard_normal((self.draws, primitive.rank)))
+            progress = iteration / max(self.iterations - 1, 1)
+            gradient = latent_gradient(primitive, state.particles(noise), target, progress)
+            state = step_gaussian(state, noise, gradient, inference)
+        return state.mean, state.factor
