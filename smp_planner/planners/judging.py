@@ -12,13 +12,16 @@ from smp_planner.problem import Problem
 from smp_planner.robot_model import RobotModel
 from smp_planner.verification import Verification
 
-__all__ = ["SAFE_CLEARANCE", "goal_distances", "missed_via_points", "rank", "signatures"]
+__all__ = ["REACHED", "SAFE_CLEARANCE", "goal_distances", "missed_via_points", "rank", "signatures"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAFE_CLEARANCE = 0.01
 """Clearance, m, beyond which more of it makes a particle no better."""
+
+REACHED = 0.005
+"""Distance, m, of the end from a goal region up to which a trajectory counts as ending there."""
 
 _ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
 """By how much, m, the middles of obstacles are moved for signatures: in a scene made by hand, a
@@ -63,7 +66,7 @@ def rank(
     """
     free, clearance = verdict.collision_free, verdict.clearance
     demanded = 4.0 * free + 3.0 * (missed <= 0.0)
-    demanded += 2.0 * verdict.executable + 1.0 * (goal_error < 0.005)
+    demanded += 2.0 * verdict.executable + 1.0 * (goal_error < REACHED)
     unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
     # One unit of the prior is worth a tenth of a millimetre of missing clearance.
     merit = -costs["prior"] - 1e4 * unsafe - 1e3 * goal_error - 1e3 * missed
