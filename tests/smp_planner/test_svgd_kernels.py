@@ -16,8 +16,8 @@ from smp_planner.inference import (
     step,
 )
 
-PATIENT = SVGDSettings(step_size=0.1, final_step=0.01, iterations=400)
-DIMENSIONS = {2: 200, 10: 200, 30: 100, 90: 100}
+PATIENT = SVGDSettings(step_size=0.1, final_step=0.01, iterations=250)
+DIMENSIONS = {2: 100, 10: 150, 30: 100, 90: 100}
 """d, and particles in that many dimensions."""
 
 
@@ -52,12 +52,12 @@ def _run(score, particles: torch.Tensor, settings: SVGDSettings) -> torch.Tensor
 
 
 LEAST_SHARES = {
-    "rbf": (0.96, 0.91, 0.84, 0.61),
-    "rbf over log": (0.92, 0.52, 0.18, 0.06),
-    "imq": (0.97, 0.93, 0.83, 0.61),
-    "imq over log": (0.95, 0.83, 0.60, 0.35),
-    "metric rbf": (0.97, 0.91, 0.78, 0.53),
-    "metric imq": (0.97, 0.92, 0.77, 0.53),
+    "rbf": (0.95, 0.90, 0.84, 0.60),
+    "rbf over log": (0.90, 0.50, 0.18, 0.06),
+    "imq": (0.96, 0.92, 0.83, 0.62),
+    "imq over log": (0.94, 0.81, 0.60, 0.34),
+    "metric rbf": (0.96, 0.90, 0.77, 0.52),
+    "metric imq": (0.96, 0.92, 0.77, 0.54),
 }
 """Of the target's total variance that the particles have at least, for each of `DIMENSIONS`. Known:
 a finite set under-estimates it, and the more the higher the dimension; the smaller bandwidth leaves
@@ -104,7 +104,7 @@ def _two_modes(particles: torch.Tensor) -> torch.Tensor:
 def test_both_modes_of_a_mixture_are_covered(name, dimension):
     start = _normal(100, dimension)
     start[:, 0] *= 2.0
-    settings = replace(PATIENT, kernel=_kernel(name, dimension), iterations=300)
+    settings = replace(PATIENT, kernel=_kernel(name, dimension))
     particles = _run(_two_modes, start, settings)
     grid = np.linspace(-6, 6, 4001)
     density = sum(
