@@ -24,7 +24,7 @@ from smp_planner.movement_primitives import (
     smooth_covariance,
 )
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.planners.judging import choose, goal_distance, missed_via_points
+from smp_planner.planners.judging import REACHED, choose, goal_distance, missed_via_points
 from smp_planner.planners.tying import TiedPrimitive, tie_primitive
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
@@ -33,6 +33,7 @@ from smp_planner.verification import Verification, check_collisions, verify
 __all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch"]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 SAMPLES = 200
 """T of the trajectories in a plan, as in the demonstrations."""
@@ -247,6 +248,13 @@ class PlannerModel(ABC):
             stopwatch,
             components=components,
         )
+
+    def good(self, problem: Problem, robot: RobotModel, trajectories: FloatArray) -> BoolArray:
+        """Return which of (P, T, D) trajectories, rad, are good and reach the goal, (P,)."""
+        verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
+        passing = missed_via_points(problem, robot, trajectories) <= 0.0
+        reaching = goal_distance(problem, robot, trajectories[:, -1]) < REACHED
+        return verdict.collision_free & verdict.executable & passing & reaching
 
     def judge(
         self,

@@ -9,12 +9,15 @@ from smp_planner.problem import Problem
 from smp_planner.robot_model import RobotModel
 from smp_planner.verification import Verification
 
-__all__ = ["SAFE_CLEARANCE", "choose", "goal_distance", "missed_via_points"]
+__all__ = ["REACHED", "SAFE_CLEARANCE", "choose", "goal_distance", "missed_via_points"]
 
 FloatArray = NDArray[np.float64]
 
 SAFE_CLEARANCE = 0.01
 """Clearance, m, beyond which more of it makes a particle no better."""
+
+REACHED = 0.005
+"""Distance, m, of the nearest goal region up to which a particle reaches it."""
 
 
 def goal_distance(problem: Problem, robot: RobotModel, ends: FloatArray) -> FloatArray:
@@ -46,7 +49,7 @@ def choose(
     """Return the best particle: what is demanded first, then likeness to the demonstrations."""
     free, clearance = verdict.collision_free, verdict.clearance
     demanded = 4.0 * free + 3.0 * (missed <= 0.0)
-    demanded += 2.0 * verdict.executable + 1.0 * (goal_error < 0.005)
+    demanded += 2.0 * verdict.executable + 1.0 * (goal_error < REACHED)
     unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
     # One unit of the prior is worth a tenth of a millimetre of missing clearance.
     merit = -costs["prior"] - 1e4 * unsafe - 1e3 * goal_error - 1e3 * missed
