@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -281,7 +282,7 @@ class Workcell:
             linear, angular = world.velocity("object")
         self.manipulated = ObjectState(position, quaternion, linear, angular, self._size)
         touching, held = self._touching_object(), self._held()
-        still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in touching
+        still = math.sqrt(linear @ linear) < CALM_SPEED and "hand" not in touching
         self._calm_steps = self._calm_steps + 1 if still else 0
         movers = (ARM, "object") if held else (ARM,)
         self.clearance = world.clearance(movers, world.obstacles, self.clearance)

@@ -133,7 +133,7 @@ class BulletWorld:
         self.set_gravity(True)
         self._bodies: dict[str, int] = {}
         self._parts: dict[tuple[int, int], str] = {}
-        self._touching: frozenset[tuple[int, int, int, int]] = frozenset()
+        self._touching: set[tuple[int, int, int, int]] = set()
         self._contacts: frozenset[Contact] = frozenset()
         self._obstacles: list[str] = []
         self._shown: dict[int, int] = {}
@@ -278,12 +278,12 @@ class BulletWorld:
 
     def contacts(self) -> frozenset[Contact]:
         """Return the pairs of parts that touch: that press on each other or overlap."""
-        touching = frozenset(
+        touching = {
             point[1:5]
             for point in pybullet.getContactPoints(physicsClientId=self.client)
             # The engine also reports points that are merely near (distance > 0, no force).
             if point[9] > 0.0 or point[8] < 0.0
-        )
+        }
         if touching != self._touching:
             self._touching = touching
             self._contacts = frozenset(self._pair(*key) for key in touching)
@@ -404,7 +404,7 @@ class BulletWorld:
         body = self._bodies.pop(name)
         del self._parts[body, -1]
         # PyBullet gives the numbers of removed bodies to new ones.
-        self._touching, self._contacts = frozenset(), frozenset()
+        self._touching, self._contacts = set(), frozenset()
         pybullet.removeBody(body, physicsClientId=self.client)
 
     def _park(self, slot: int, obstacle: Obstacle) -> None:
