@@ -33,7 +33,13 @@ PLANNERS: dict[str, type[PlannerModel]] = {
 _ADAPTING = ("smp", "cpromp", "prompt_o", "promp_diff")
 
 _FREEDOM: dict[str, dict[str, Any]] = {
-    "DrawS": {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
+    "DrawS": {
+        "smooth_std": 0.4,
+        "smooth_length_scale": 0.1,
+        "basis_functions": 25,
+        "obstacle_weight": 10.0,
+        "retries": 2,
+    },
     "PushLiftBox": {"smooth_std": 0.6, "retries": 2},
 }
 
@@ -48,9 +54,9 @@ TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
 Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
-it needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
-way, so the ways before and after it are short and must bend more sharply, too; fewer iterations do
-then."""
+it needs more freedom, of half the length scale and over a finer basis than the paper's 15
+functions, and obstacles that outweigh what holds it. A push holds the middle of the way, so the
+ways before and after it are short and must bend more sharply, too; fewer iterations do then."""
 
 
 def make_planner(
