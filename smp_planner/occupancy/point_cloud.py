@@ -1,0 +1,100 @@
+"""Labelled points from a point cloud, as a depth camera gives one: what `train_map` learns from.
+
+A camera sees the front of things. What lies behind a seen surface, within a thickness, is taken for
+occupied, and all else that was not seen for free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from smp_planner.occupancy.analytic import check_points
+from smp_planner.occupancy.grid import WORKSPACE
+from smp_planner.occupancy.neural import INFLATION
+
+__all__ = ["label_point_cloud"]
+
+_NEAR = 0.03
+"""Metres from the labelled surface within which most of the points are drawn."""
+
+_UNIFORM_SHARE = 0.25
+_LAYER = 0.01
+"""Metres between the layers of points that stand for what is behind a surface."""
+
+
+def label_point_cloud(
+    cloud: ArrayLike,
+    sensor: ArrayLike,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    thickness: float = 0.05,
+    inflation: float = INFLATION,
+    workspace: tuple[Sequence[float], Sequence[float]] = WORKSPACE,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Draw points of a scene of which a point cloud is known, labelled occupied or free.
+
+    A quarter is uniform over the workspace, the rest lies around what was seen. Occupied is all
+    within `inflation` of a point of the cloud or of what is behind it; so the cloud must be denser
+    than `inflation`, and the map takes the growth off again.
+
+    Args:
+        cloud: (N, 3) m, points on surfaces, in the base frame.
+        sensor: (3,) m, where the camera stood, or (N, 3) for each point its own.
+        count: how many points to draw.
+        rng: source of randomness.
+        thickness: m, how deep things are taken to be behind their surface.
+        inflation: m, as above; the same is to be given to `train_map`.
+        workspace: lower and upper corner of the box that the points are in, m; points of the cloud
+            outside are left out.
+
+    Returns:
+        points (count, 3) m and labels (count,), True for occupied.
+
+    Raises:
+        ValueError: shapes are wrong, a number is not finite or out of range, no point of the cloud
+            is in the workspace, or a point coincides with its sensor.
+    """
+    surface = check_points(cloud)
+    origin = check_points(sensor)
+    if surface.ndim != 2:
+        raise ValueError(f"cloud must have shape (N, 3), got {surface.shape}")
+    if origin.shape not in ((3,), surface.shape):
+        raise ValueError(f"sensor must have shape (3,) or {surface.shape}, got {origin.shape}")
+    if count < 1:
+        raise ValueError(f"count must be at least 1, got {count}")
+    if not (math.isfinite(thickness) and thickness >= 0.0):
+        raise ValueError(f"thickness must not be negative, got {thickness}")
+    if not (math.isfinite(inflation) and inflation > 0.0):
+        raise ValueError(f"inflation must be positive, got {inflation}")
+    lower, upper = (np.asarray(corner, np.float64) for corner in workspace)
+    inside = ((surface >= lower) & (surface <= upper)).all(axis=1)
+    if not inside.any():
+        raise ValueError(f"cloud must hold a point in the workspace {lower} to {upper}, got none")
+    origin = np.broadcast_to(origin, surface.shape)[inside]
+    surface = surface[inside]
+    rays = surface - origin
+    lengths = np.linalg.norm(rays, axis=1, keepdims=True)
+    if not (lengths > 0.0).all():
+        raise ValueError(
+            f"sensor must not be a point of the cloud, got {origin[lengths[:, 0] == 0][0]}"
+        )
+    depths = np.linspace(0.0, thickness, 1 + math.ceil(thickness / _LAYER))
+    solid = (surface + depths[:, None, None] * (rays / lengths)).reshape(-1, 3)
+    tree = cKDTree(solid)
+
+    points = rng.uniform(lower, upper, (int(_UNIFORM_SHARE * count), 3))
+    reach = inflation + _NEAR
+    while len(points) < count:
+        drawn = solid[rng.integers(len(solid), size=count)] + rng.uniform(-reach, reach, (count, 3))
+        near = np.abs(tree.query(drawn)[0] - inflation) < _NEAR
+        points = np.concatenate(
+            [points, drawn[near & ((drawn >= lower) & (drawn <= upper)).all(axis=1)]]
+        )
+    points = points[:count]
+    return points, np.asarray(tree.query(points)[0] <= inflation)
