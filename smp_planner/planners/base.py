@@ -25,7 +25,7 @@ from smp_planner.movement_primitives import (
     smooth_covariance,
 )
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.planners.judging import choose, goal_distance, missed_via_points
+from smp_planner.planners.judging import goal_distances, missed_via_points, rank, signatures
 from smp_planner.planners.tying import TiedPrimitive, tie_primitive
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
@@ -290,9 +290,11 @@ class PlannerModel(ABC):
         """
         with stopwatch.stage("verification"):
             verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
-            goal_error = goal_distance(problem, robot, trajectories[:, -1])
+            distances = goal_distances(problem, robot, trajectories[:, -1])
+            goal_error = distances.min(axis=0)
             missed = missed_via_points(problem, robot, trajectories)
-            chosen = choose(verdict, goal_error, missed, costs)
+            ranks = rank(verdict, goal_error, missed, costs)
+            ways = signatures(problem, robot, trajectories, distances.argmin(axis=0))
         free, executable, passing = verdict.collision_free, verdict.executable, missed <= 0.0
         message = ""
         if not (free & executable & passing).any():
@@ -310,11 +312,13 @@ class PlannerModel(ABC):
             goal_error=goal_error,
             duration=verdict.duration,
             executable=executable,
-            chosen=chosen,
+            chosen=int(ranks.argmin()),
             timings=stopwatch.timings,
             message=message,
             components=components,
             passing=passing,
+            signatures=ways,
+            ranks=ranks,
         )
 
 
