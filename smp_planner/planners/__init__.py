@@ -34,13 +34,7 @@ PLANNERS: dict[str, type[PlannerModel]] = {
 _ADAPTING = ("smp", "cpromp", "prompt_o", "promp_diff")
 
 _FREEDOM: dict[str, dict[str, Any]] = {
-    "DrawS": {
-        "smooth_std": 0.4,
-        "smooth_length_scale": 0.1,
-        "basis_functions": 25,
-        "obstacle_weight": 10.0,
-        "retries": 2,
-    },
+    "DrawS": {"smooth_std": 0.4, "obstacle_weight": 10.0, "retries": 2},
     "PushLiftBox": {"smooth_std": 0.6, "retries": 2},
 }
 
@@ -48,7 +42,12 @@ _FIRM = {"obstacle_weight": 30.0, "margin": 0.02, "iterations": 400}
 _ROOMY = {"obstacle_weight": 30.0, "margin": 0.03, "rounds": 16}
 
 _OWN: dict[tuple[str, str], dict[str, Any]] = {
-    ("smp", "DrawS"): {"via_share": 0.25, "retries": 4},
+    ("smp", "DrawS"): {
+        "smooth_length_scale": 0.1,
+        "basis_functions": 25,
+        "via_share": 0.25,
+        "retries": 4,
+    },
     ("smp", "PushLiftBox"): {"obstacle_weight": 20.0, "iterations": 70},
     ("cpromp", "Placement"): _FIRM,
     ("cpromp", "DrawS"): {"via_share": 0.25},
@@ -72,8 +71,9 @@ TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
 Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
-it needs more freedom, of half the length scale and over a finer basis than the paper's 15
-functions, and obstacles that outweigh what holds it. A push holds the middle of the way, so the
+it needs more freedom, and obstacles that outweigh what holds it. `smp` also has freedom of half the
+length scale, over a finer basis than the paper's 15 functions; the baselines, whose draws keep the
+spread of the prior wherever it is not needed, have not. A push holds the middle of the way, so the
 ways before and after it are short and must bend more sharply, too; fewer iterations do then.
 
 What the baselines have of their own is the best of what `scripts/tune_baselines.py` tries."""

@@ -17,7 +17,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.kinematics import UnreachableError
 from smp_gym.scene import TASKS, Scene
 from smp_planner.benchmark.episodes import environment_id
-from smp_planner.benchmark.table_two.scenes import load_scenes
+from smp_planner.benchmark.table_two.scenes import PRIOR, load_scenes
 from smp_planner.metrics import COMPARED_SAMPLES, Metrics, compare, path_lengths, success_rates
 from smp_planner.modes import group
 from smp_planner.movement_primitives import ProMP
@@ -261,7 +261,7 @@ def _environment(task: str) -> gym.Env[Any, Any]:
 def _policy(task: str, method: str) -> PlannerPolicy:
     """Return a policy after one unrecorded plan, so that no row times a compilation."""
     name = method.removesuffix(_MATCHED)
-    settings: dict[str, Any] = {"particles": PARTICLES}
+    settings: dict[str, Any] = {"particles": PARTICLES, **PRIOR}
     if method.endswith(_MATCHED):
         settings["per_component"] = False
     if name == "promp":
@@ -281,7 +281,7 @@ def _prior(task: str) -> PlannerModel:
     return make_planner(
         "promp",
         task,
-        settings={name: settings[name] for name in ("smooth_std",) if name in settings},
+        settings=PRIOR | {name: settings[name] for name in ("smooth_std",) if name in settings},
     )
 
 

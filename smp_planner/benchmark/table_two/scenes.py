@@ -23,10 +23,13 @@ from smp_planner.planners.tying import tie_primitive
 from smp_planner.policy import PlannerPolicy
 from smp_planner.robot_model import jaco_model
 
-__all__ = ["RULE", "SCENES_FILE", "choose_scene", "load_scenes", "write_scenes"]
+__all__ = ["PRIOR", "RULE", "SCENES_FILE", "choose_scene", "load_scenes", "write_scenes"]
 
 SCENES_FILE = "table_two_scenes.json"
 """Where the scenes are in the folder ``experiments`` of the packaged data."""
+
+PRIOR: dict[str, Any] = {"basis_functions": 15, "smooth_length_scale": 0.2}
+"""Settings of the primitive that all methods share, on every task; 15 is the paper's K."""
 
 DIFFICULTY = "medium"
 MOST_SEEDS = 200
@@ -66,7 +69,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
     """
     torch.set_num_threads(1)
     env = gym.make(environment_id(task), difficulty=DIFFICULTY)
-    policies = [PlannerPolicy.make(method, task) for method in methods]
+    policies = [PlannerPolicy.make(method, task, settings=PRIOR) for method in methods]
     try:
         for seed in range(MOST_SEEDS):
             observation, _ = env.reset(seed=seed)
