@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -78,6 +79,7 @@ class Workcell:
     Args:
         task: whose scenes are played; it says which contacts they need.
         gui: open a window.
+        seen: whether pictures will be taken, or the window be looked at.
 
     Attributes:
         world: the physics.
@@ -95,8 +97,8 @@ class Workcell:
     manipulated: ObjectState
     status: Status
 
-    def __init__(self, task: Task, *, gui: bool = False) -> None:
-        self.world = BulletWorld(gui=gui)
+    def __init__(self, task: Task, *, gui: bool = False, seen: bool = True) -> None:
+        self.world = BulletWorld(gui=gui, seen=seen)
         self._task = task
         self._grasp: tuple[tuple[float, ...], ManipulatedObject | None] | None = None
         self._settled = -1
@@ -281,7 +283,7 @@ class Workcell:
             linear, angular = world.velocity("object")
         self.manipulated = ObjectState(position, quaternion, linear, angular, self._size)
         touching, held = self._touching_object(), self._held()
-        still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in touching
+        still = math.sqrt(linear @ linear) < CALM_SPEED and "hand" not in touching
         self._calm_steps = self._calm_steps + 1 if still else 0
         movers = (ARM, "object") if held else (ARM,)
         self.clearance = world.clearance(movers, world.obstacles, self.clearance)
