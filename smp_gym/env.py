@@ -144,7 +144,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._camera = _make_camera(camera)
         self.observation_space = observation_space(self.task.name)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
-        self._cell = Workcell(self.task, gui=render_mode == "human")
+        seen = render_mode is not None
+        self._cell = Workcell(self.task, gui=render_mode == "human", seen=seen)
         self._scene: Scene | None = None
         self._actions: list[NDArray[np.float64]] = []
         self._failure = ""

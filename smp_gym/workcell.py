@@ -79,6 +79,7 @@ class Workcell:
     Args:
         task: whose scenes are played; it says which contacts they need.
         gui: open a window.
+        seen: whether pictures will be taken, or the window be looked at.
 
     Attributes:
         world: the physics.
@@ -96,8 +97,8 @@ class Workcell:
     manipulated: ObjectState
     status: Status
 
-    def __init__(self, task: Task, *, gui: bool = False) -> None:
-        self.world = BulletWorld(gui=gui)
+    def __init__(self, task: Task, *, gui: bool = False, seen: bool = True) -> None:
+        self.world = BulletWorld(gui=gui, seen=seen)
         self._task = task
         self._grasp: tuple[tuple[float, ...], ManipulatedObject | None] | None = None
         self._settled = -1

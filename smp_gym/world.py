@@ -111,14 +111,17 @@ class BulletWorld:
 
     Args:
         gui: open PyBullet's window instead of computing without one.
+        seen: whether pictures show single shapes, as obstacles are. The engine works out hulls
+            for the looks of a cylinder or sphere, which takes longer than all else of its body.
 
     Raises:
         RuntimeError: a window was asked for and there is no display for it.
     """
 
-    def __init__(self, *, gui: bool = False) -> None:
+    def __init__(self, *, gui: bool = False, seen: bool = True) -> None:
         self.client = _connect(gui)
         self.gui = gui
+        self._seen = seen
         self._finalizer = weakref.finalize(self, _disconnect, self.client)
         self.clear()
 
@@ -137,6 +140,12 @@ class BulletWorld:
         self._contacts: frozenset[Contact] = frozenset()
         self._obstacles: list[str] = []
         self._shown: dict[int, int] = {}
+        # A body without looks of its own would be given those of its collision shape.
+        self._unseen = int(
+            pybullet.createVisualShape(
+                pybullet.GEOM_BOX, halfExtents=_SPECK.size, physicsClientId=self.client
+            )
+        )
 
     def set_gravity(self, on: bool) -> None:
         """Switch gravity on or off."""
@@ -447,5 +456,7 @@ class BulletWorld:
         }
         length = 2.0 * part.size[2]
         collision = pybullet.createCollisionShape(height=length, **common)
+        if not self._seen:
+            return int(collision), self._unseen
         visual = pybullet.createVisualShape(length=length, rgbaColor=color, **common)
         return int(collision), int(visual)
