@@ -138,9 +138,7 @@ class Workcell:
         self._pen = manipulated is None
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
         self._trace, self._traced = np.empty((0, 3)), 0
-        self._targets = [
-            Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in _bodiless_goals(scene)
-        ]
+        self._scene = scene
         self._calm_steps = 0
         self._squeezing = True
         self._contacts: frozenset[Contact] = frozenset()
@@ -151,8 +149,9 @@ class Workcell:
     @property
     def lines(self) -> tuple[Line, ...]:
         """What is seen but has no body: goals without one, and the pen's trace over them."""
-        trace = Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH)
-        return (*self._targets, trace)
+        shown = _bodiless_goals(self._scene)
+        targets = (Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in shown)
+        return (*targets, Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH))
 
     def _disperse(self, scene: Scene) -> None:
         """Exchange the obstacles and take all bodies apart.
