@@ -39,13 +39,18 @@ class AdaptSettings(BaseModel):
         map_points: how many points "neural" learns from.
         planning_steps: steps of phase at which costs are evaluated.
         samples: T of the trajectories that are returned.
-        obstacle_weight: λ of Eq. (12), for the mean over all spheres of sums scaled to
-            `costs.REFERENCE_STEPS` steps; a path without a robot is one sphere.
+        obstacle_weight: λ of Eq. (12), for sums scaled to `costs.REFERENCE_STEPS` steps, and for a
+            robot to `chain.REFERENCE_SPHERES` spheres.
         margin: extents (m for a robot), by which spheres are enlarged while planning.
         edge_width: same unit, width of the map's edge in the first and the last iteration.
-        sigma: extents, tails of boxes and standard deviation of points that are not conditioned on.
+        sigma: extents (m for a tool), tails of boxes and standard deviation of points that are not conditioned
+            on; what misses its place by no more has passed it.
         modulation: "exact" conditions the primitive on points in closed form, "likelihood" leaves
             them to their costs, the paper's way (Eq. (13)). Boxes always are costs (Eq. (14)).
+        self_collision_weight: of a robot's spheres among each other.
+        velocity_weight: of the excess over a robot's velocity limits.
+        limit_weight: of the excess over a robot's joint limits.
+        duration_limit: s, within which a robot's path must be feasible.
         retries: how often a scene without a good particle is tried again with twice the freedom.
     """
 
@@ -60,4 +65,8 @@ class AdaptSettings(BaseModel):
     edge_width: tuple[float, float] = (0.05, 0.01)
     sigma: float = Field(default=0.005, gt=0.0, allow_inf_nan=False)
     modulation: Literal["exact", "likelihood"] = "exact"
+    self_collision_weight: float = Field(default=3.0, ge=0.0, allow_inf_nan=False)
+    velocity_weight: float = Field(default=10.0, ge=0.0, allow_inf_nan=False)
+    limit_weight: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
+    duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
     retries: int = Field(default=1, ge=0)
