@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -97,6 +98,18 @@ class GaussianBasis:
         """
         values, slopes = self._values_and_slopes(phase)
         return values * (slopes - (values * slopes).sum(-1, keepdim=True))
+
+    def path_root(self, samples: int) -> Tensor:
+        """Return R with |R w|² = (1/T) Σ_t (Φ_t w)², the mean square of the path of weights w.
+
+        Args:
+            samples: T equally spaced phases, at least 2.
+
+        Returns:
+            (min(T, K), K).
+        """
+        values = self.values(phases(samples))
+        return torch.linalg.qr(values / math.sqrt(samples)).R
 
     def _values_and_slopes(self, phase: Tensor) -> tuple[Tensor, Tensor]:
         """Return the normalised bumps and the derivatives of the logarithms of the plain bumps."""

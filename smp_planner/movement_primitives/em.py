@@ -16,8 +16,21 @@ import torch
 from torch import Tensor
 
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
+from smp_planner.movement_primitives.covariances import smooth_covariance, square_root
+from smp_planner.movement_primitives.samples import alike
 
-__all__ = ["EMSettings", "LearnedDistribution", "Posterior", "expectation_maximization", "infer"]
+__all__ = [
+    "EMSettings",
+    "LearnedDistribution",
+    "Posterior",
+    "expectation_maximization",
+    "fitted_weights",
+    "infer",
+]
+
+_FILL_LENGTH_SCALE, _FILL_NOISE = 0.2, 0.01
+"""Of the prior that bridges missing samples: length scale in phase, and standard deviation of the
+noise over the extent of the demonstrations."""
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -59,20 +72,46 @@ class EMSettings:
                 raise ValueError(f"EMSettings.{name} must be positive and finite, got {value}")
 
 
+class _Pattern(NamedTuple):
+    """The samples of a demonstration at which the same dimensions are present.
+
+    Given the noise at those, what the noise is at the others has a mean and a covariance.
+
+    Attributes:
+        values: (t, K) basis functions at those samples.
+        rows: (t,) which samples.
+        precision: (D, D) inverse of Σ_y between the dimensions present, zero elsewhere.
+        imputation: (D, D) from the noise, of which only the dimensions present are looked at, to
+            the mean of it all; the identity if all are present.
+        remainder: (D, D) covariance of it all given the dimensions present.
+        log_determinant: of the square root of Σ_y between the dimensions present.
+    """
+
+    values: Tensor
+    rows: Tensor
+    precision: Tensor
+    imputation: Tensor
+    remainder: Tensor
+    log_determinant: Tensor
+
+
 class Posterior(NamedTuple):
-    """Posterior of the weights of n equally long demonstrations.
+    """Posterior of the weights of n demonstrations that are equally long and miss the same samples.
 
     Attributes:
         mean: (n, K*D) posterior means.
         covariance: (K*D, K*D), common to all: it depends on the phases only.
-        residual: (n, T, D) demonstrations minus the trajectories of the posterior means.
+        scatter: (D, D) expected outer products of the noise, summed over all samples that are not
+            missing altogether.
+        samples: how many those are.
         log_evidence: (n,) log-density of each demonstration with its weights integrated out,
             Eq. (2).
     """
 
     mean: Tensor
     covariance: Tensor
-    residual: Tensor
+    scatter: Tensor
+    samples: int
     log_evidence: Tensor
 
 
@@ -92,46 +131,110 @@ class LearnedDistribution(NamedTuple):
     objective: tuple[float, ...]
 
 
+def _patterns(demonstration: Tensor, basis: GaussianBasis, noise: Tensor) -> list[_Pattern]:
+    """Return the samples (T, D) by which dimensions are present, without those that have none."""
+    values = basis.values(phases(len(demonstration), dtype=noise.dtype, device=noise.device))
+    kinds, which = torch.unique(~torch.isnan(demonstration), dim=0, return_inverse=True)
+    patterns = []
+    for index, kind in enumerate(kinds):
+        if not bool(kind.any()):
+            continue
+        rows = (which == index).nonzero().flatten()
+        present, missing = kind.nonzero().flatten(), (~kind).nonzero().flatten()
+        factor = torch.linalg.cholesky(noise[present[:, None], present])
+        inverse = torch.cholesky_inverse(factor)
+        between = noise[missing[:, None], present]
+        gain = between @ inverse
+        precision, imputation, remainder = (torch.zeros_like(noise) for _ in range(3))
+        precision[present[:, None], present] = inverse
+        imputation[present, present] = 1.0
+        imputation[missing[:, None], present] = gain
+        remainder[missing[:, None], missing] = noise[missing[:, None], missing] - gain @ between.mT
+        log_determinant = factor.diagonal().log().sum()
+        patterns.append(
+            _Pattern(values[rows], rows, precision, imputation, remainder, log_determinant)
+        )
+    return patterns
+
+
 def infer(
     demonstrations: Tensor, basis: GaussianBasis, mean: Tensor, factor: Tensor, noise: Tensor
 ) -> Posterior:
-    """Return the posterior of the weights given equally long demonstrations (the E-step).
+    """Return the posterior of the weights given demonstrations that are alike (the E-step).
 
-    Computed for the standard normal z of w = μ_w + L z, so Σ_w = L Lᵀ is never inverted.
+    Computed for the standard normal z of w = μ_w + L z, so Σ_w = L Lᵀ is never inverted. Where some
+    dimensions of a sample are missing, those present count through their own block of Σ_y, which is
+    what integrating the missing ones out amounts to.
 
     Args:
-        demonstrations: (n, T, D).
+        demonstrations: (n, T, D), NaN at the same places in all where samples are missing.
         basis: K basis functions.
         mean: (K*D,) μ_w.
         factor: (K*D, r) L.
         noise: (D, D) Σ_y, positive definite.
     """
-    _, samples, dimension = demonstrations.shape
-    values = basis.values(phases(samples, dtype=mean.dtype, device=mean.device))
-    noise_factor = torch.linalg.cholesky(noise)
-    noise_precision = torch.cholesky_inverse(noise_factor).contiguous()
-    information = torch.kron(values.mT @ values, noise_precision)
+    count, _, dimension = demonstrations.shape
+    patterns = _patterns(demonstrations[0], basis, noise)
+    information = sum(torch.kron(p.values.mT @ p.values, p.precision) for p in patterns)
     identity = torch.eye(factor.shape[-1], dtype=mean.dtype, device=mean.device)
     precision_factor = torch.linalg.cholesky(identity + factor.mT @ information @ factor)
 
-    centred = demonstrations - values @ mean.unflatten(-1, (-1, dimension))
-    evidence = (values.mT @ centred @ noise_precision).flatten(-2)
+    offset = mean.unflatten(-1, (-1, dimension))
+    centred = [demonstrations[:, p.rows].nan_to_num() - p.values @ offset for p in patterns]
+    evidence = sum(
+        (p.values.mT @ c @ p.precision).flatten(-2) for p, c in zip(patterns, centred, strict=True)
+    )
     latent = torch.cholesky_solve((evidence @ factor).mT, precision_factor).mT
     shift = latent @ factor.mT
     half = torch.linalg.solve_triangular(precision_factor, factor.mT, upper=False)
+    covariance = half.mT @ half
 
-    residual = centred - values @ shift.unflatten(-1, (-1, dimension))
-    misfit = ((residual @ noise_precision) * residual).sum((-2, -1)) + latent.square().sum(-1)
-    log_determinant = 2.0 * (
-        samples * noise_factor.diagonal().log().sum() + precision_factor.diagonal().log().sum()
-    )
-    constant = samples * dimension * math.log(2.0 * math.pi)
+    blocks = covariance.unflatten(0, (-1, dimension)).unflatten(-1, (-1, dimension))
+    misfit = latent.square().sum(-1)
+    scatter, log_determinant = torch.zeros_like(noise), precision_factor.diagonal().log().sum()
+    for p, c in zip(patterns, centred, strict=True):
+        residual = c - p.values @ shift.unflatten(-1, (-1, dimension))
+        misfit = ((residual @ p.precision) * residual).sum((-2, -1)) + misfit
+        log_determinant = len(p.rows) * p.log_determinant + log_determinant
+        imputed = residual @ p.imputation.mT
+        spread = torch.einsum("kalb,kl->ab", blocks, p.values.mT @ p.values)
+        spread = p.imputation @ spread @ p.imputation.mT + len(p.rows) * p.remainder
+        scatter = scatter + torch.einsum("nta,ntb->ab", imputed, imputed) + count * spread
+    observed = int((~torch.isnan(demonstrations[0])).sum())
     return Posterior(
         mean=mean + shift,
-        covariance=half.mT @ half,
-        residual=residual,
-        log_evidence=-0.5 * (misfit + log_determinant + constant),
+        covariance=covariance,
+        scatter=scatter,
+        samples=count * sum(len(p.rows) for p in patterns),
+        log_evidence=-0.5 * (misfit + 2.0 * log_determinant + observed * math.log(2.0 * math.pi)),
     )
+
+
+def fitted_weights(demonstrations: Tensor, basis: GaussianBasis) -> Tensor:
+    """Return the weights that fit each of several demonstrations that are alike.
+
+    They are the least-squares fit; where samples are missing, which leaves weights free, the
+    posterior mean under a wide prior that is smooth along the phase.
+
+    Args:
+        demonstrations: (n, T, D), NaN at the same places in all where samples are missing.
+        basis: K basis functions.
+
+    Returns:
+        (n, K*D).
+    """
+    _, samples, dimension = demonstrations.shape
+    if not bool(torch.isnan(demonstrations).any()):
+        values = basis.values(
+            phases(samples, dtype=demonstrations.dtype, device=demonstrations.device)
+        )
+        return (torch.linalg.pinv(values) @ demonstrations).flatten(-2)
+    center = demonstrations.flatten(0, -2).nanmean(0)
+    extent = float((demonstrations - center).nan_to_num().abs().max()) or 1.0
+    smooth = smooth_covariance(basis, dimension, extent, _FILL_LENGTH_SCALE, demonstrations)
+    noise = (_FILL_NOISE * extent) ** 2 * torch.eye(dimension).to(demonstrations)
+    mean = center.expand(basis.count, dimension).flatten()
+    return infer(demonstrations, basis, mean, square_root(smooth), noise).mean
 
 
 def expectation_maximization(
@@ -143,7 +246,7 @@ def expectation_maximization(
 
     Args:
         demonstrations: N tensors (T_j, D), T_j at least 2, of one dtype and device; sample t of a
-            demonstration stands at phase t / (T_j - 1).
+            demonstration stands at phase t / (T_j - 1). NaN stands for what is missing.
         basis: K basis functions.
         settings: priors and stopping rule.
 
@@ -152,18 +255,15 @@ def expectation_maximization(
         floor.
     """
     settings = settings or EMSettings()
-    groups = [
-        torch.stack([d for d in demonstrations if len(d) == length])
-        for length in sorted({len(d) for d in demonstrations})
-    ]
+    groups = alike(demonstrations)
     mean, covariance, noise = _initial(groups, basis, settings)
     objective: list[float] = []
-    observed = sum(group.numel() for group in groups)
+    observed = sum(int((~torch.isnan(group)).sum()) for group in groups)
     for _ in range(settings.max_iterations):
         factor = torch.linalg.cholesky(covariance)
         posteriors = [infer(group, basis, mean, factor, noise) for group in groups]
         objective.append(_objective(posteriors, factor, settings))
-        mean, covariance, noise = _maximize(posteriors, basis, settings)
+        mean, covariance, noise = _maximize(posteriors, settings)
         if len(objective) > 1 and objective[-1] - objective[-2] < settings.tolerance * observed:
             break
     else:
@@ -174,27 +274,27 @@ def expectation_maximization(
 def _initial(
     groups: list[Tensor], basis: GaussianBasis, settings: EMSettings
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return μ_w, Σ_w and Σ_y from a least-squares fit to each demonstration on its own."""
+    """Return μ_w, Σ_w and Σ_y from a fit to each demonstration on its own."""
     posteriors = []
     for group in groups:
-        dimension = group.shape[-1]
-        values = basis.values(phases(group.shape[1], dtype=group.dtype, device=group.device))
-        weights = torch.linalg.pinv(values) @ group
+        count, length, dimension = group.shape
+        values = basis.values(phases(length, dtype=group.dtype, device=group.device))
+        weights = fitted_weights(group, basis)
+        residual = (group - values @ weights.unflatten(-1, (-1, dimension))).nan_to_num()
         size = basis.count * dimension
         posteriors.append(
             Posterior(
-                mean=weights.flatten(-2),
+                mean=weights,
                 covariance=group.new_zeros(size, size),
-                residual=group - values @ weights,
-                log_evidence=group.new_zeros(len(group)),
+                scatter=torch.einsum("nta,ntb->ab", residual, residual),
+                samples=count * length,
+                log_evidence=group.new_zeros(count),
             )
         )
-    return _maximize(posteriors, basis, settings)
+    return _maximize(posteriors, settings)
 
 
-def _maximize(
-    posteriors: list[Posterior], basis: GaussianBasis, settings: EMSettings
-) -> tuple[Tensor, Tensor, Tensor]:
+def _maximize(posteriors: list[Posterior], settings: EMSettings) -> tuple[Tensor, Tensor, Tensor]:
     """Return μ_w, Σ_w and Σ_y that maximise the expected penalised log-likelihood (the M-step)."""
     means = torch.cat([p.mean for p in posteriors])
     mean = means.mean(0)
@@ -204,19 +304,10 @@ def _maximize(
     scatter = scatter + sum(len(p.mean) * p.covariance for p in posteriors)
     covariance = scatter / (len(means) + settings.prior_count)
 
-    dimension = posteriors[0].residual.shape[-1]
-    noise = mean.new_zeros(dimension, dimension)
-    samples = 0
-    for p in posteriors:
-        count, length, _ = p.residual.shape
-        values = basis.values(phases(length, dtype=mean.dtype, device=mean.device))
-        blocks = p.covariance.unflatten(0, (-1, dimension)).unflatten(-1, (-1, dimension))
-        spread = torch.einsum("kalb,kl->ab", blocks, values.mT @ values)
-        noise = noise + torch.einsum("nta,ntb->ab", p.residual, p.residual) + count * spread
-        samples += count * length
+    noise = torch.stack([p.scatter for p in posteriors]).sum(0)
     # Raising the eigenvalues to the floor is the exact maximum under that constraint, so the
     # objective still never falls.
-    eigenvalues, eigenvectors = torch.linalg.eigh(noise / samples)
+    eigenvalues, eigenvectors = torch.linalg.eigh(noise / sum(p.samples for p in posteriors))
     eigenvalues = eigenvalues.clamp_min(settings.noise_std_floor**2)
     return mean, covariance, (eigenvectors * eigenvalues) @ eigenvectors.mT
 

@@ -7,6 +7,7 @@ all components at once would find the same groups or a bad optimum.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +17,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from smp_planner.movement_primitives.basis import GaussianBasis, phases
+from smp_planner.movement_primitives.basis import GaussianBasis
+from smp_planner.movement_primitives.em import fitted_weights
 from smp_planner.movement_primitives.promp import ProMP
+from smp_planner.movement_primitives.samples import checked_demonstrations
 
 __all__ = ["FEWEST", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
 
@@ -30,50 +33,101 @@ FEWEST = 3
 """Demonstrations that make a mode; fewer are odd ones of another."""
 
 _SAMPLES = 200
-"""Phases at which the distance of two paths is taken."""
+"""Phases over which the distance of two paths is averaged."""
 
 
 def demonstrated_modes(
-    demonstrations: Iterable[Tensor | NDArray[Any]], basis: GaussianBasis | None = None
+    demonstrations: Iterable[Tensor | NDArray[Any]],
+    basis: GaussianBasis | None = None,
+    *,
+    modes: int | None = None,
+    nan_is_missing: bool = False,
 ) -> tuple[tuple[int, ...], ...]:
     """Return the groups that demonstrations fall into, as tuples of their indices.
 
     Each demonstration is given the weights that fit it best; the distance of two is that of their
-    paths. A group is divided by 2-means, begun at the two members that are farthest apart, if the
-    two halves lie `SEPARATION` times farther from each other than their radii (root mean square
-    distance from the mean) amount to; then their halves are looked at. Fewer than `FEWEST`
-    demonstrations are no mode.
+    paths, root mean square over phase. A group is divided by 2-means, begun at the two members
+    that are farthest apart, if the two halves lie `SEPARATION` times farther from each other than
+    their radii (root mean square distance from the mean) amount to; then their halves are looked
+    at. Fewer than `FEWEST` demonstrations are no mode.
+
+    If it is known how many there are, the group whose division takes the most from the sum of
+    squares is divided, until there are so many.
 
     Args:
         demonstrations: N arrays (T_j, D).
         basis: default `GaussianBasis()`.
+        modes: how many groups, 1 .. N / 2; None finds it out.
+        nan_is_missing: see `ProMP.fit`.
+
+    Raises:
+        ValueError: a demonstration is not (T, D) or not finite, `modes` is out of range, or the
+            demonstrations cannot be divided into so many groups of at least two.
     """
     basis = basis or GaussianBasis()
-    common = basis.values(phases(_SAMPLES))
-    points = []
-    for demonstration in demonstrations:
-        path = torch.as_tensor(np.array(demonstration, np.float64))
-        values = basis.values(phases(len(path), dtype=path.dtype))
-        points.append((common @ torch.linalg.pinv(values) @ path).flatten().numpy())
-    return _divided(np.stack(points), tuple(range(len(points))))
+    checked = checked_demonstrations(demonstrations, fewest=1, nan_is_missing=nan_is_missing)
+    everything, most = tuple(range(len(checked))), max(1, len(checked) // 2)
+    if modes is not None and not 1 <= modes <= most:
+        raise ValueError(
+            f"modes must be 1 .. {most}, as a primitive is learned from two demonstrations at "
+            f"least and there are {len(checked)}; got {modes}"
+        )
+    root = basis.path_root(_SAMPLES)
+    weights = [fitted_weights(d.detach().cpu().double()[None], basis)[0] for d in checked]
+    points = torch.stack([(root @ w.unflatten(0, (basis.count, -1))).flatten() for w in weights])
+    if modes is None:
+        return _divided(points.numpy(), everything)
+    groups = [everything]
+    while len(groups) < modes:
+        groups = _with_one_more(points.numpy(), groups)
+    return tuple(groups)
 
 
-def _divided(weights: NDArray[np.float64], group: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    halves = _two_means(weights[list(group)])
-    if min(halves.sum(), (~halves).sum()) < FEWEST:
+def _divided(points: NDArray[np.float64], group: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
+    parts = _halves(points, group)
+    if min(map(len, parts)) < FEWEST:
         return (group,)
-    members = np.array(group)
-    parts = [members[halves], members[~halves]]
-    means = [weights[part].mean(axis=0) for part in parts]
-    radii = [
-        np.sqrt(np.square(weights[part] - mean).sum(axis=1).mean())
-        for part, mean in zip(parts, means, strict=True)
-    ]
+    means = [points[list(part)].mean(axis=0) for part in parts]
+    radii = [math.sqrt(_sum_of_squares(points, part) / len(part)) for part in parts]
     if np.linalg.norm(means[0] - means[1]) < SEPARATION * sum(radii):
         return (group,)
-    # The group of the first demonstration stands first, whatever the halves are called.
-    parts.sort(key=lambda part: int(part[0]))
-    return tuple(mode for part in parts for mode in _divided(weights, tuple(part.tolist())))
+    return tuple(mode for part in parts for mode in _divided(points, part))
+
+
+def _with_one_more(
+    points: NDArray[np.float64], groups: list[tuple[int, ...]]
+) -> list[tuple[int, ...]]:
+    """Return the groups with the one divided for which it takes the most from its squares."""
+    gains = []
+    for index, group in enumerate(groups):
+        parts = _halves(points, group)
+        if min(map(len, parts)) >= 2:
+            kept = sum(_sum_of_squares(points, part) for part in parts)
+            gains.append((_sum_of_squares(points, group) - kept, index, parts))
+    if not gains:
+        sizes = ", ".join(str(len(group)) for group in groups)
+        raise ValueError(
+            f"modes must be at most {len(groups)} for these demonstrations: groups of {sizes} "
+            "cannot be divided further into parts of at least two"
+        )
+    _, index, parts = max(gains, key=lambda gain: gain[0])
+    return groups[:index] + list(parts) + groups[index + 1 :]
+
+
+def _sum_of_squares(points: NDArray[np.float64], group: tuple[int, ...]) -> float:
+    """Return the sum of the squared distances of a group's points from their mean."""
+    members = points[list(group)]
+    return float(np.square(members - members.mean(axis=0)).sum())
+
+
+def _halves(
+    points: NDArray[np.float64], group: tuple[int, ...]
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the two parts of a group by 2-means, first the one with its first member."""
+    first = _two_means(points[list(group)])
+    first = first if first[0] else ~first
+    members = np.array(group)
+    return tuple(members[first].tolist()), tuple(members[~first].tolist())
 
 
 def _two_means(points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -136,6 +190,9 @@ class ProMPMixture:
         cls,
         demonstrations: Sequence[Tensor | NDArray[Any]],
         basis: GaussianBasis | None = None,
+        *,
+        modes: int | None = None,
+        nan_is_missing: bool = False,
         **settings: Any,
     ) -> ProMPMixture:
         """Learn a component from each of the `demonstrated_modes`, π_c = N_c / N.
@@ -143,13 +200,26 @@ class ProMPMixture:
         Args:
             demonstrations: N arrays (T_j, D), see `ProMP.fit`.
             basis: default `GaussianBasis()`.
+            modes: how many components, 1 .. N / 2; None finds it out.
+            nan_is_missing: see `ProMP.fit`.
             **settings: of `ProMP.fit`.
+
+        Raises:
+            ValueError: as `demonstrated_modes` and `ProMP.fit`.
         """
-        modes = demonstrated_modes(demonstrations, basis)
-        components = tuple(
-            ProMP.fit([demonstrations[i] for i in mode], basis, **settings) for mode in modes
+        groups = demonstrated_modes(
+            demonstrations, basis, modes=modes, nan_is_missing=nan_is_missing
         )
-        return cls(components, torch.tensor([len(mode) for mode in modes], dtype=torch.float64))
+        components = tuple(
+            ProMP.fit(
+                [demonstrations[i] for i in group],
+                basis,
+                nan_is_missing=nan_is_missing,
+                **settings,
+            )
+            for group in groups
+        )
+        return cls(components, torch.tensor([len(group) for group in groups]).double())
 
     def sample(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Draw weights.

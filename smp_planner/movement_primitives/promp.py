@@ -9,55 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
+from smp_planner.movement_primitives.covariances import (
+    checked_covariance,
+    orthogonal_columns,
+    rounding,
+    smooth_covariance,
+    square_root,
+)
 from smp_planner.movement_primitives.em import EMSettings, expectation_maximization, infer
+from smp_planner.movement_primitives.samples import checked_demonstrations
 
-__all__ = ["ProMP", "smooth_covariance"]
-
-
-def smooth_covariance(
-    basis: GaussianBasis,
-    dimension: int,
-    std: float,
-    length_scale: float,
-    like: Tensor | None = None,
-) -> Tensor:
-    """Return a covariance of weights that is smooth along the phase and equal in all dimensions.
-
-    Weights of one dimension covary as exp(-(c - c')² / (2 ℓ²)) with the distance of their centres;
-    weights of different dimensions do not. The scale is such that a trajectory at phase 1/2 has the
-    standard deviation `std` in every dimension.
-
-    Args:
-        basis: K basis functions.
-        dimension: D.
-        std: of the trajectory, in its unit; 0 or more.
-        length_scale: ℓ, in phase.
-        like: gives dtype and device (default: float64 on CPU).
-
-    Returns:
-        (K*D, K*D), positive semi-definite.
-
-    Raises:
-        ValueError: `std` is negative or `length_scale` is not positive.
-    """
-    if not (math.isfinite(std) and std >= 0):
-        raise ValueError(f"std must be finite and not negative, got {std}")
-    if not (math.isfinite(length_scale) and length_scale > 0):
-        raise ValueError(f"length_scale must be positive and finite, got {length_scale}")
-    centers = basis.centers(like)
-    distance = (centers[:, None] - centers) / length_scale
-    along_phase = torch.exp(-0.5 * distance.square())
-    middle = basis.values(centers.new_tensor(0.5))
-    along_phase = along_phase * (std**2 / (middle @ along_phase @ middle))
-    identity = torch.eye(dimension, dtype=centers.dtype, device=centers.device)
-    return torch.kron(along_phase, identity)
+__all__ = ["ProMP"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +72,11 @@ class ProMP:
         for name in ("mean", "factor"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise ValueError(f"{name} must be finite, got NaN or infinity")
-        noise = _covariance("noise", self.noise, dimension, self.mean)
+        noise = checked_covariance("noise", self.noise, dimension, self.mean)
         if not bool(torch.linalg.eigvalsh(noise)[0] > 0):
             raise ValueError(f"noise must be positive definite, got {noise}")
         object.__setattr__(self, "noise", noise)
-        object.__setattr__(self, "factor", _orthogonal_columns(self.factor.to(self.mean)))
+        object.__setattr__(self, "factor", orthogonal_columns(self.factor.to(self.mean)))
 
     @classmethod
     def from_covariance(
@@ -119,8 +87,8 @@ class ProMP:
         Raises:
             ValueError: `covariance` is not symmetric, or has a negative eigenvalue.
         """
-        covariance = _covariance("covariance", covariance, mean.shape[-1], mean)
-        return cls(basis, mean, _square_root(covariance), noise)
+        covariance = checked_covariance("covariance", covariance, mean.shape[-1], mean)
+        return cls(basis, mean, square_root(covariance), noise)
 
     @classmethod
     def fit(
@@ -131,6 +99,7 @@ class ProMP:
         smooth_std: float = 0.2,
         smooth_length_scale: float = 0.2,
         em: EMSettings | None = None,
+        nan_is_missing: bool = False,
     ) -> ProMP:
         """Learn a primitive from demonstrations.
 
@@ -151,19 +120,21 @@ class ProMP:
             smooth_std: standard deviation that is added at mid phase, in every dimension, rad.
             smooth_length_scale: its length scale, in phase.
             em: priors and stopping rule of the learning.
+            nan_is_missing: whether NaN in a demonstration stands for a number that was not
+                measured: it is integrated out, and the samples beside it keep their phases.
 
         Raises:
             ValueError: fewer than two demonstrations, not all of one dimension, fewer than two
-                samples in one, or a number that is not finite.
+                samples in a dimension of one, or a number that is not finite and not missing.
         """
         basis = basis or GaussianBasis()
-        checked = _checked_demonstrations(demonstrations)
+        checked = checked_demonstrations(demonstrations, nan_is_missing=nan_is_missing)
         exact = [d.double() for d in checked]
         learned = expectation_maximization(exact, basis, em)
         added = smooth_covariance(
             basis, exact[0].shape[-1], smooth_std, smooth_length_scale, exact[0]
         )
-        factor = _square_root(learned.covariance + added)
+        factor = square_root(learned.covariance + added)
         mean, factor, noise = (t.to(checked[0]) for t in (learned.mean, factor, learned.noise))
         return cls(basis, mean, factor, noise)
 
@@ -188,8 +159,8 @@ class ProMP:
         Raises:
             ValueError: `covariance` is not a positive semi-definite matrix of that shape.
         """
-        added = _covariance("covariance", covariance, self.mean.shape[-1], self.mean)
-        return replace(self, factor=torch.cat([self.factor, _square_root(added)], -1))
+        added = checked_covariance("covariance", covariance, self.mean.shape[-1], self.mean)
+        return replace(self, factor=torch.cat([self.factor, square_root(added)], -1))
 
     def condition(
         self,
@@ -260,14 +231,14 @@ class ProMP:
         if covariance is None:
             noise_factor = self.mean.new_zeros(len(rows), 0)
         else:
-            checked = _covariance("covariance", covariance, len(rows), self.mean)
-            noise_factor = _square_root(checked)
+            checked = checked_covariance("covariance", covariance, len(rows), self.mean)
+            noise_factor = square_root(checked)
 
         innovation = value - self.mean @ rows.mT
         stacked = torch.cat([rows @ self.factor, noise_factor], -1)
         left, singular, right = torch.linalg.svd(stacked, full_matrices=True)
         scale = torch.linalg.matrix_norm(rows, 2) * self._largest_std() + noise_factor.norm()
-        rank = int((singular > _rounding(self.mean) * scale).sum())
+        rank = int((singular > rounding(self.mean) * scale).sum())
 
         explained = innovation @ left[:, :rank]
         unexplained = innovation - explained @ left[:, :rank].mT
@@ -321,12 +292,16 @@ class ProMP:
         return -(self.whiten(weights) / self._stds().square()) @ self.factor.mT
 
     def log_likelihood(
-        self, demonstrations: Tensor | np.ndarray | Sequence[Tensor | np.ndarray]
+        self,
+        demonstrations: Tensor | np.ndarray | Sequence[Tensor | np.ndarray],
+        *,
+        nan_is_missing: bool = False,
     ) -> Tensor:
         """Return the log-density of each demonstration, weights integrated out, Eq. (2).
 
         Args:
             demonstrations: (N, T, D), or N arrays (T_j, D).
+            nan_is_missing: as `fit`; what is missing is integrated out, too.
 
         Returns:
             (N,).
@@ -336,14 +311,16 @@ class ProMP:
         """
         if self.mean.ndim != 1:
             raise ValueError(f"mean must be one vector here, got {tuple(self.mean.shape)}")
-        checked = _checked_demonstrations(demonstrations, fewest=1)
+        checked = checked_demonstrations(demonstrations, fewest=1, nan_is_missing=nan_is_missing)
         if checked[0].shape[-1] != self.dimension:
             raise ValueError(
                 f"demonstrations must have dimension {self.dimension}, got {checked[0].shape[-1]}"
             )
         return torch.cat(
             [
-                infer(d[None].to(self.mean), self.basis, self.mean, self.factor, self.noise)[3]
+                infer(
+                    d[None].to(self.mean), self.basis, self.mean, self.factor, self.noise
+                ).log_evidence
                 for d in checked
             ]
         )
@@ -420,73 +397,3 @@ class ProMP:
 
     def _largest_std(self) -> Tensor:
         return self._stds()[0] if self.rank else self.mean.new_zeros(())
-
-
-def _rounding(like: Tensor) -> float:
-    """Return the size, relative to the largest, under which a standard deviation is rounding."""
-    return 1e3 * torch.finfo(like.dtype).eps
-
-
-def _orthogonal_columns(factor: Tensor) -> Tensor:
-    """Return L' with L' L'ᵀ = L Lᵀ, orthogonal columns of falling length, zeros dropped."""
-    if 0 in factor.shape:
-        return factor
-    left, singular, _ = torch.linalg.svd(factor, full_matrices=False)
-    keep = singular > _rounding(factor) * singular[0]
-    return (left * singular)[:, keep]
-
-
-def _square_root(covariance: Tensor) -> Tensor:
-    """Return L, (n, r), with L Lᵀ = `covariance`, leaving out eigenvalues that are rounding."""
-    eigenvalues, eigenvectors = torch.linalg.eigh(covariance)
-    keep = eigenvalues > _rounding(covariance) * eigenvalues[-1].clamp_min(0.0)
-    return eigenvectors[:, keep] * eigenvalues[keep].sqrt()
-
-
-def _covariance(name: str, value: Any, size: int, like: Tensor) -> Tensor:
-    """Check a covariance (size, size), or the diagonal (size,) of one, and return it in full."""
-    matrix = torch.as_tensor(value, dtype=like.dtype, device=like.device)
-    if matrix.shape == (size,):
-        matrix = torch.diag(matrix)
-    if matrix.shape != (size, size):
-        raise ValueError(
-            f"{name} must have shape ({size}, {size}) or ({size},), got {tuple(matrix.shape)}"
-        )
-    if not bool(torch.isfinite(matrix).all()):
-        raise ValueError(f"{name} must be finite, got {matrix}")
-    tolerance = math.sqrt(torch.finfo(matrix.dtype).eps) * matrix.abs().max()
-    if bool(((matrix - matrix.mT).abs() > tolerance).any()):
-        raise ValueError(f"{name} must be symmetric, got {matrix}")
-    smallest = torch.linalg.eigvalsh(matrix)[0]
-    if bool(smallest < -tolerance):
-        raise ValueError(
-            f"{name} must be positive semi-definite, got an eigenvalue of {smallest.item():.3g}"
-        )
-    return (matrix + matrix.mT) / 2
-
-
-def _checked_demonstrations(demonstrations: Any, fewest: int = 2) -> list[Tensor]:
-    """Return the demonstrations as tensors (T_j, D) of one dtype and device."""
-    checked: list[Tensor] = []
-    for index, given in enumerate(demonstrations):
-        d = given if isinstance(given, Tensor) else torch.as_tensor(np.asarray(given, np.float64))
-        d = d if d.is_floating_point() else d.double()
-        if d.ndim != 2 or d.shape[0] < 2 or d.shape[1] < 1:
-            raise ValueError(
-                f"demonstrations[{index}] must have shape (T, D) with T of at least 2, "
-                f"got {tuple(d.shape)}"
-            )
-        if checked and d.shape[1] != checked[0].shape[1]:
-            raise ValueError(
-                f"demonstrations must all have one dimension: demonstrations[{index}] has "
-                f"{d.shape[1]}, demonstrations[0] has {checked[0].shape[1]}"
-            )
-        if not bool(torch.isfinite(d).all()):
-            row = int((~torch.isfinite(d)).any(-1).nonzero()[0])
-            raise ValueError(
-                f"demonstrations[{index}] must be finite, got {d[row].tolist()} at sample {row}"
-            )
-        checked.append(d.to(checked[0]) if checked else d)
-    if len(checked) < fewest:
-        raise ValueError(f"demonstrations must be at least {fewest}, got {len(checked)}")
-    return checked

@@ -67,3 +67,13 @@ def test_a_basis_without_room_is_an_error(count, outside, message):
 def test_too_few_phases_are_an_error():
     with pytest.raises(ValueError, match="count of phases must be at least 2, got 1"):
         phases(1)
+
+
+@pytest.mark.parametrize("samples", [10, 50])
+def test_path_root_measures_the_mean_square_of_a_path(samples):
+    basis = GaussianBasis(15)
+    weights = torch.randn(15, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    path = basis.values(phases(samples)) @ weights
+    root = basis.path_root(samples)
+    assert root.shape == (min(samples, 15), 15)
+    torch.testing.assert_close((root @ weights).square().sum(0), path.square().mean(0))

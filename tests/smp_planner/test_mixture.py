@@ -5,7 +5,14 @@ import pytest
 import torch
 
 from smp_gym.demonstrations import Demonstrations
-from smp_planner.movement_primitives import GaussianBasis, ProMP, ProMPMixture, demonstrated_modes
+from smp_planner.movement_primitives import (
+    GaussianBasis,
+    ProMP,
+    ProMPMixture,
+    demonstrated_modes,
+    phases,
+    smooth_covariance,
+)
 from smp_planner.movement_primitives.mixture import shared_out
 
 BASIS = GaussianBasis(4)
@@ -133,6 +140,68 @@ def test_fit_learns_each_group_as_if_it_were_alone():
     alone = ProMP.fit(demonstrations[6:], smooth_std=0.1)
     torch.testing.assert_close(mixture.components[1].mean, alone.mean)
     torch.testing.assert_close(mixture.components[1].covariance, alone.covariance)
+
+
+def test_fit_recovers_the_mixture_that_made_the_demonstrations():
+    basis, noise = GaussianBasis(7), 0.02
+    covariance = smooth_covariance(basis, 2, 0.1, 0.3)
+    generator = torch.Generator().manual_seed(0)
+    truths, demonstrations = [], []
+    for count, bend in ((120, -1.0), (60, 1.0)):
+        mean = torch.stack([torch.linspace(0, 1, 7), bend * torch.linspace(0, 3, 7).sin()], -1)
+        truth = ProMP.from_covariance(
+            basis, mean.double().flatten(), covariance, torch.full((2,), noise**2).double()
+        )
+        truths.append(truth)
+        clean = truth.trajectory(truth.sample(count, generator), 40)
+        shake = torch.randn(clean.shape, generator=generator, dtype=torch.float64)
+        demonstrations += list(clean + noise * shake)
+    found = ProMPMixture.fit(demonstrations, basis, smooth_std=0.0)
+    torch.testing.assert_close(found.shares, torch.tensor([2 / 3, 1 / 3]).double())
+    for component, truth, count in zip(found.components, truths, (120, 60), strict=True):
+        path = truth.trajectory(component.mean - truth.mean, 40)
+        assert path.abs().max() < 4 * 0.12 / count**0.5
+        std = component.noise.diagonal().sqrt()
+        torch.testing.assert_close(std, torch.full_like(std, noise), rtol=0.05, atol=0.0)
+        design = torch.kron(basis.values(phases(40)), torch.eye(2, dtype=torch.float64))
+        true, learned = (design @ c @ design.mT for c in (truth.covariance, component.covariance))
+        relative = torch.linalg.matrix_norm(learned - true) / torch.linalg.matrix_norm(true)
+        assert relative < 4 / count**0.5
+
+
+def test_as_many_groups_are_made_as_are_asked_for():
+    bends = paths(np.random.default_rng(0), [-1.0] * 4 + [1.0] * 4 + [1.5] * 4)
+    assert demonstrated_modes(bends, modes=1) == (tuple(range(12)),)
+    assert demonstrated_modes(bends, modes=2) == (tuple(range(4)), tuple(range(4, 12)))
+    three = tuple(tuple(range(a, a + 4)) for a in (0, 4, 8))
+    assert demonstrated_modes(bends, modes=3) == three
+    mixture = ProMPMixture.fit(bends, modes=4)
+    assert len(mixture.components) == 4
+    assert mixture.shares.min() >= 2 / 12
+
+
+@pytest.mark.parametrize("modes", [0, -1, 4, 7, 100])
+def test_modes_out_of_range_are_errors(modes):
+    demonstrations = paths(np.random.default_rng(0), [0.0] * 7)
+    message = f"modes must be 1 .. 3, as .* two demonstrations .* there are 7; got {modes}"
+    with pytest.raises(ValueError, match=message):
+        ProMPMixture.fit(demonstrations, modes=modes)
+
+
+def test_demonstrations_that_do_not_divide_are_an_error():
+    alone = paths(np.random.default_rng(0), [0.0, 0.0, 0.0, 9.0], spread=0.01)
+    message = "modes must be at most 1 for these demonstrations: groups of 4 cannot be divided"
+    with pytest.raises(ValueError, match=message):
+        ProMPMixture.fit(alone, modes=2)
+
+
+@pytest.mark.parametrize("learn", [demonstrated_modes, ProMPMixture.fit])
+def test_demonstrations_that_are_none_are_errors(learn):
+    good = paths(np.random.default_rng(0), [0.0, 1.0])
+    with pytest.raises(ValueError, match=r"demonstrations\[2\] must have shape \(T, D\)"):
+        learn([*good, good[0][:, 0]])
+    with pytest.raises(ValueError, match="demonstrations must be at least 1, got 0"):
+        learn([])
 
 
 @pytest.mark.parametrize(

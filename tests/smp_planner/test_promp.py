@@ -187,6 +187,41 @@ def test_log_prob_and_score_agree_with_torch():
     torch.testing.assert_close(primitive.score(weights.detach()), score, atol=1e-9, rtol=1e-9)
 
 
+@pytest.mark.parametrize("dimension", [2, 3, 6])
+@pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
+def test_batches_keep_their_shape_in_every_dimension(dimension, batch):
+    size = 7 * dimension
+    root = _normal(size, size, seed=1) / math.sqrt(size)
+    covariance = root @ root.mT + 0.1 * torch.eye(size, dtype=torch.float64)
+    mean, noise = _normal(size), torch.ones(dimension, dtype=torch.float64)
+    primitive = ProMP.from_covariance(BASIS, mean, covariance, noise)
+    reference = MultivariateNormal(mean, covariance)
+    weights = _normal(*batch, size, seed=2).requires_grad_()
+    (score,) = torch.autograd.grad(reference.log_prob(weights).sum(), weights)
+    weights = weights.detach()
+    torch.testing.assert_close(primitive.log_prob(weights), reference.log_prob(weights))
+    torch.testing.assert_close(primitive.score(weights), score, atol=1e-9, rtol=1e-9)
+    torch.testing.assert_close(primitive.unwhiten(primitive.whiten(weights)), weights)
+    assert primitive.sample(5, _generator()).shape == (5, size)
+    assert primitive.trajectory(weights, 11).shape == (*batch, 11, dimension)
+    assert primitive.velocity(weights, 11).shape == (*batch, 11, dimension)
+
+    value, std = _normal(*batch, dimension, seed=3), 0.1
+    noise = torch.full((dimension,), std**2, dtype=torch.float64)
+    posterior = primitive.condition(0.6, value, noise).condition(1.0, 0 * value, derivative=True)
+    assert posterior.mean.shape == (*batch, size)
+    assert posterior.sample(5, _generator()).shape == (5, *batch, size)
+    identity = torch.eye(dimension, dtype=torch.float64)
+    rows = torch.kron(BASIS.values(torch.tensor([0.6], dtype=torch.float64)), identity)
+    end = torch.kron(BASIS.derivatives(torch.tensor([1.0], dtype=torch.float64)), identity)
+    gaussian = std**2 * identity
+    for index in np.ndindex(*batch):
+        expected = _dense_posterior(mean, covariance, rows, value[index], gaussian)
+        expected = _dense_posterior(*expected, end, 0 * value[index], 0 * identity)
+        torch.testing.assert_close(posterior.mean[index], expected[0], atol=1e-9, rtol=0)
+        torch.testing.assert_close(posterior.covariance, expected[1], atol=1e-9, rtol=0)
+
+
 def test_log_prob_of_a_singular_primitive_agrees_with_scipy():
     primitive = _primitive().condition(0.0, VALUE)
     weights = primitive.sample(6, _generator())
@@ -518,6 +553,20 @@ def test_a_primitive_that_does_not_fit_together_is_an_error(change, message):
     good = {"mean": torch.zeros(14), "factor": torch.eye(14), "noise": torch.ones(2)}
     with pytest.raises(ValueError, match=message):
         ProMP(BASIS, **{**good, **change})
+
+
+@pytest.mark.parametrize("phase", [-0.01, 1.01, math.nan])
+def test_phases_outside_the_primitive_are_errors(phase):
+    primitive, at = _primitive(), torch.tensor([0.5, phase], dtype=torch.float64)
+    message = r"phase must be in \[0, 1\], got"
+    for draw in (primitive.trajectory, primitive.velocity):
+        with pytest.raises(ValueError, match=message):
+            draw(primitive.mean, at)
+    for derivative in (False, True):
+        with pytest.raises(ValueError, match=message):
+            primitive.marginal(phase, derivative=derivative)
+        with pytest.raises(ValueError, match=message):
+            primitive.condition(phase, VALUE, derivative=derivative)
 
 
 def test_covariances_that_are_none_are_errors():
