@@ -25,7 +25,12 @@ from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.plan import PathPlan
 from smp_planner.library.reading import demonstrations_of
 from smp_planner.library.scene import Scene
-from smp_planner.library.settings import AdaptSettings, FitSettings
+from smp_planner.library.settings import (
+    JOINT_SMOOTH_STD,
+    SMOOTH_STD,
+    AdaptSettings,
+    FitSettings,
+)
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
 from smp_planner.library.sites import Frame, Wanted, sites_of
 from smp_planner.library.storing import read_primitive, write_primitive
@@ -107,12 +112,16 @@ class SMP:
         normal = [self.frame.inwards(d) for d in self.demonstrations]
         with one_thread():
             groups = demonstrated_modes(
-                normal, GaussianBasis(settings.basis), modes=settings.modes
+                normal,
+                GaussianBasis(settings.basis),
+                modes=settings.modes,
+                nan_is_missing=settings.nan_is_missing,
             )
             self.single = self._learn(normal)
-            components = (self.single,)
-            if len(groups) > 1:
-                components = tuple(self._learn([normal[i] for i in group]) for group in groups)
+            components = tuple(
+                self.single if len(groups) == 1 else self._learn([normal[i] for i in group])
+                for group in groups
+            )
         self.mixture = ProMPMixture(components, torch.tensor([float(len(g)) for g in groups]))
 
     @classmethod
@@ -135,7 +144,9 @@ class SMP:
                 dimension or not that of the robot, a number that is not finite, all of them one
                 point, or more modes than there are demonstrations for.
         """
-        return cls(demonstrations_of(demonstrations), FitSettings(**settings), robot)
+        learning = FitSettings(**settings)
+        given = demonstrations_of(demonstrations, nan_is_missing=learning.nan_is_missing)
+        return cls(given, learning, robot)
 
     def save(self, path: str | Path) -> None:
         """Write an `.npz` file without pickled objects, which `load` reads."""
@@ -150,7 +161,8 @@ class SMP:
             ValueError: it is damaged, is something else, or is of another version.
         """
         demonstrations, settings, robot = read_primitive(path)
-        return cls(demonstrations_of(demonstrations), settings, robot)
+        given = demonstrations_of(demonstrations, nan_is_missing=settings.nan_is_missing)
+        return cls(given, settings, robot)
 
     @property
     def dimension(self) -> int:
@@ -219,7 +231,9 @@ class SMP:
             attempts = settings.retries + 1 if way is not None else 1
             for attempt in range(attempts):
                 wide = tuple(
-                    widened(component, self.settings, 2.0**attempt)
+                    widened(
+                        component, self._smooth_std, self.settings.smooth_length_scale, 2.0**attempt
+                    )
                     for component in prior.components
                 )
                 tried = adapted(
@@ -252,19 +266,27 @@ class SMP:
             tool_paths=None if self.robot is None else self.robot.tool_positions(best.paths),
         )
 
+    @property
+    def _smooth_std(self) -> float:
+        """Standard deviation of the added freedom, in extents."""
+        if self.settings.smooth_std is not None:
+            return self.settings.smooth_std
+        return SMOOTH_STD if self.robot is None else JOINT_SMOOTH_STD
+
     def _learn(self, demonstrations: Sequence[FloatArray]) -> ProMP:
         return ProMP.fit(
             demonstrations,
             GaussianBasis(self.settings.basis),
-            smooth_std=self.settings.smooth_std,
+            smooth_std=self._smooth_std,
             smooth_length_scale=self.settings.smooth_length_scale,
+            nan_is_missing=self.settings.nan_is_missing,
         )
 
 
 def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:
     """Return the coordinates in which the longest side of a box around all of them is 1."""
-    lower = np.min([d.min(axis=0) for d in demonstrations], axis=0)
-    upper = np.max([d.max(axis=0) for d in demonstrations], axis=0)
+    lower = np.min([np.nanmin(d, axis=0) for d in demonstrations], axis=0)
+    upper = np.max([np.nanmax(d, axis=0) for d in demonstrations], axis=0)
     scale = float((upper - lower).max())
     if scale == 0.0:
         raise ValueError(f"demonstrations must not all stand at one point, got {lower}")

@@ -12,7 +12,6 @@ from torch import Tensor
 from smp_planner.adaptation import Adaptation
 from smp_planner.library.conditioning import branches
 from smp_planner.library.mover import Check
-from smp_planner.library.settings import FitSettings
 from smp_planner.library.target import SceneTarget, at_phase
 from smp_planner.movement_primitives import ProMP, ProMPMixture, smooth_covariance
 from smp_planner.movement_primitives.mixture import shared_out
@@ -84,9 +83,7 @@ def widened(primitive: ProMP, settings: FitSettings, width: float) -> ProMP:
         return primitive
     added = settings.smooth_std * np.sqrt(width**2 - 1.0)
     return primitive.broaden(
-        smooth_covariance(
-            primitive.basis, primitive.dimension, added, settings.smooth_length_scale
-        )
+        smooth_covariance(primitive.basis, primitive.dimension, added, settings.smooth_length_scale)
     )
 
 

@@ -55,7 +55,9 @@ def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]
     pairs = []
     for first in range(len(link)):
         others = np.flatnonzero(link > link[first] + 1)
-        gap = np.linalg.norm(centers[:, others] - centers[:, first : first + 1], axis=-1).min(axis=0)
+        gap = np.linalg.norm(centers[:, others] - centers[:, first : first + 1], axis=-1).min(
+            axis=0
+        )
         kept = others[gap - radius[others] - radius[first] > PAIR_GAP]
         pairs.append(np.column_stack([np.full(len(kept), first), kept]))
     empty = np.empty((0, 2), np.int64)

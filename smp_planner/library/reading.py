@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_planner.movement_primitives.samples import checked_demonstrations
+
 __all__ = ["demonstrations_of", "read_csv", "read_npz"]
 
 FloatArray = NDArray[np.float64]
@@ -17,16 +19,17 @@ FloatArray = NDArray[np.float64]
 _NUMBERED = "demonstration_"
 
 
-def demonstrations_of(given: Any) -> tuple[FloatArray, ...]:
+def demonstrations_of(given: Any, *, nan_is_missing: bool = False) -> tuple[FloatArray, ...]:
     """Return demonstrations as read-only arrays (T_j, D) of one dimension.
 
     Args:
         given: (N, T, D), N arrays (T_j, D), or a file: see `read_npz` and `read_csv`.
+        nan_is_missing: see `ProMP.fit`.
 
     Raises:
         FileNotFoundError: no such file.
         ValueError: a file of another kind, fewer than two demonstrations, fewer than two samples in
-            one, not all of one dimension, or a number that is not finite.
+            one, not all of one dimension, or a number that is neither finite nor missing.
     """
     if isinstance(given, str | Path):
         readers = {".npz": read_npz, ".csv": read_csv}
@@ -34,28 +37,14 @@ def demonstrations_of(given: Any) -> tuple[FloatArray, ...]:
         if suffix not in readers:
             raise ValueError(f"demonstrations must be a .npz or .csv file, got {str(given)!r}")
         given = readers[suffix](Path(given))
-    checked: list[FloatArray] = []
-    for index, one in enumerate(given):
-        path = np.array(one, np.float64)
-        if path.ndim != 2 or path.shape[0] < 2 or path.shape[1] < 1:
-            raise ValueError(
-                f"demonstrations[{index}] must have shape (T, D) with T of at least 2, "
-                f"got {path.shape}"
-            )
-        if checked and path.shape[1] != checked[0].shape[1]:
-            raise ValueError(
-                f"demonstrations must all have one dimension: demonstrations[{index}] has "
-                f"{path.shape[1]}, demonstrations[0] has {checked[0].shape[1]}"
-            )
-        if not np.isfinite(path).all():
-            row = int(np.flatnonzero(~np.isfinite(path).all(axis=1))[0])
-            raise ValueError(
-                f"demonstrations[{index}] must be finite, got {path[row].tolist()} at sample {row}"
-            )
+    tensors = checked_demonstrations(
+        [np.array(one, np.float64) for one in given], nan_is_missing=nan_is_missing
+    )
+    checked = []
+    for tensor in tensors:
+        path: FloatArray = tensor.numpy()
         path.setflags(write=False)
         checked.append(path)
-    if len(checked) < 2:
-        raise ValueError(f"demonstrations must be at least 2, got {len(checked)}")
     return tuple(checked)
 
 

@@ -6,28 +6,37 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["AdaptSettings", "FitSettings"]
+__all__ = ["JOINT_SMOOTH_STD", "SMOOTH_STD", "AdaptSettings", "FitSettings"]
+
+SMOOTH_STD = 0.1
+"""Extents, freedom that paths get beside what the demonstrations teach."""
+
+JOINT_SMOOTH_STD = 0.2
+"""rad, likewise for the joints of a robot."""
 
 
 class FitSettings(BaseModel):
     """How a primitive is learned.
 
-    An extent is the longest side of the box around all demonstrations; for a robot it is 1 rad, so
-    that these are plain radians there.
+    An extent is the longest side of the box around all demonstrations; for a robot it is 1 rad.
 
     Attributes:
-        smooth_std: extents, freedom added to what the demonstrations teach; see `ProMP.fit`.
+        smooth_std: extents, freedom added to what the demonstrations teach; see `ProMP.fit`. None
+            takes `SMOOTH_STD`, and for a robot `JOINT_SMOOTH_STD`.
         smooth_length_scale: of that freedom, in phase.
         basis: K basis functions.
-        modes: 1 forces one Gaussian; None lets the demonstrations decide (`demonstrated_modes`).
+        modes: how many groups the demonstrations fall into; 1 forces one Gaussian, None lets them
+            decide (`demonstrated_modes`).
+        nan_is_missing: whether NaN stands for a number that was not measured; see `ProMP.fit`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    smooth_std: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
+    smooth_std: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
     smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     basis: int = Field(default=15, ge=4)
     modes: int | None = Field(default=None, ge=1)
+    nan_is_missing: bool = False
 
 
 class AdaptSettings(BaseModel):
@@ -43,8 +52,8 @@ class AdaptSettings(BaseModel):
             robot to `chain.REFERENCE_SPHERES` spheres.
         margin: extents (m for a robot), by which spheres are enlarged while planning.
         edge_width: same unit, width of the map's edge in the first and the last iteration.
-        sigma: extents (m for a tool), tails of boxes and standard deviation of points that are not conditioned
-            on; what misses its place by no more has passed it.
+        sigma: extents (m for a tool), tails of boxes and standard deviation of points that are not
+            conditioned on; what misses its place by no more has passed it.
         modulation: "exact" conditions the primitive on points in closed form, "likelihood" leaves
             them to their costs, the paper's way (Eq. (13)). Boxes always are costs (Eq. (14)).
         self_collision_weight: of a robot's spheres among each other.

@@ -149,7 +149,8 @@ def _read_joint(element: ET.Element) -> _Joint:
     kind, limit = element.get("type", ""), element.find("limit")
     limits = {} if limit is None else limit.attrib
     name = element.get("name", "")
-    if kind != "fixed" and not np.linalg.norm(direction) > 0.0:
+    length = float(np.linalg.norm(direction))
+    if kind != "fixed" and not length > 0.0:
         raise ValueError(f"joint {name!r} must have an axis that is not zero, got {direction}")
     endless = kind == "continuous"
     return _Joint(
@@ -158,7 +159,7 @@ def _read_joint(element: ET.Element) -> _Joint:
         parent=link("parent"),
         child=link("child"),
         origin=_origin(element.find("origin")),
-        axis=direction / max(np.linalg.norm(direction), 1e-300),
+        axis=direction / (length or 1.0),
         lower=float(limits.get("lower", -ENDLESS if endless else 0.0)),
         upper=float(limits.get("upper", ENDLESS if endless else 0.0)),
         velocity=float(limits.get("velocity", 0.0)),
@@ -224,10 +225,7 @@ def _assembled(
                 origins[number] = pose @ joint.origin @ turn
                 placed[joint.child] = number + 1, turn.T
             else:
-                default = 0.0 if joint.kind == "continuous" else np.clip(
-                    0.0, joint.lower, joint.upper
-                )
-                at = held.get(joint.name, float(default))
+                at = held.get(joint.name, min(max(0.0, joint.lower), joint.upper))
                 placed[joint.child] = index, pose @ joint.held_at(at)
             waiting.append(joint.child)
     link, spheres = [], []
@@ -286,4 +284,6 @@ def _mesh_file(file: Path, name: str) -> Path:
     for folder in file.resolve().parents:
         if (folder / within).is_file():
             return folder / within
-    raise FileNotFoundError(f"{file} names the mesh {name!r}, which is not found beside or above it")
+    raise FileNotFoundError(
+        f"{file} names the mesh {name!r}, which is not found beside or above it"
+    )

@@ -74,9 +74,7 @@ def tie_primitive(
     return tie_to_goals(tied, problem.goals, robot)
 
 
-def tie_to_goals(
-    primitive: ProMP, goals: Sequence[GoalRegion], robot: RobotModel
-) -> TiedPrimitive:
+def tie_to_goals(primitive: ProMP, goals: Sequence[GoalRegion], robot: RobotModel) -> TiedPrimitive:
     """Condition on the final posture that is likeliest of those that reach a goal.
 
     Args:
@@ -99,9 +97,7 @@ def tie_to_goals(
     return TiedPrimitive(tied, posture)
 
 
-def _final_posture(
-    primitive: ProMP, goals: Sequence[GoalRegion], robot: RobotModel
-) -> FloatArray:
+def _final_posture(primitive: ProMP, goals: Sequence[GoalRegion], robot: RobotModel) -> FloatArray:
     """Return the configuration (n,) that reaches a goal and is most likely under the primitive.
 
     Gauss-Newton on the negative log-posterior of the final configuration, given that the carried
