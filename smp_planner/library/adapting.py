@@ -77,13 +77,20 @@ class Judged:
         )
 
 
-def widened(primitive: ProMP, settings: FitSettings, width: float) -> ProMP:
-    """Return a primitive whose added freedom is `width` times as large; width is at least 1."""
+def widened(primitive: ProMP, std: float, length_scale: float, width: float) -> ProMP:
+    """Return a primitive whose added freedom is `width` times as large.
+
+    Args:
+        primitive: with a freedom of standard deviation `std`.
+        std: in extents.
+        length_scale: of that freedom, in phase.
+        width: at least 1.
+    """
     if width <= 1.0:
         return primitive
-    added = settings.smooth_std * np.sqrt(width**2 - 1.0)
+    added = std * np.sqrt(width**2 - 1.0)
     return primitive.broaden(
-        smooth_covariance(primitive.basis, primitive.dimension, added, settings.smooth_length_scale)
+        smooth_covariance(primitive.basis, primitive.dimension, added, length_scale)
     )
 
 
