@@ -20,6 +20,7 @@ from smp_planner.library.shapes import PathObstacle, bodies
 from smp_planner.library.site import Place, PlaceSite, Site
 from smp_planner.library.sites import Frame
 from smp_planner.library.urdf import Robot
+from smp_planner.occupancy.grid import DistanceGrid
 
 __all__ = ["Scene"]
 
@@ -27,6 +28,9 @@ FloatArray = NDArray[np.float64]
 
 _SLACK = 0.25
 """Extents around demonstrations and sites that a learned map covers."""
+
+_LAYER = 0.05
+"""Extents that it covers above and below the plane in which paths are."""
 
 _LOOKS = 3
 """Points along each side of a box that are tried for a free one."""
@@ -79,7 +83,7 @@ class Scene:
             sites: and where these are.
         """
         if self._robot is None:
-            corners = [self._frame.inwards(d) for d in demonstrations]
+            corners = [self._frame.inwards(d)[np.isfinite(d).all(axis=1)] for d in demonstrations]
             corners += [
                 np.stack([place.box.lower.numpy(), place.box.upper.numpy()])
                 for site in sites
@@ -127,9 +131,17 @@ class Scene:
         if settings.map == "exact":
             return exact_map(self._bodies)
         covered = in_space(np.concatenate(corners)[None])[0]
-        workspace: Workspace = (covered.min(axis=0) - _SLACK, covered.max(axis=0) + _SLACK)
-        grid = neural_grid(self._bodies, workspace, settings.map_points, seed)
+        slack = np.full(3, _SLACK)
+        slack[self._frame.dimension :] = _LAYER
+        workspace = covered.min(axis=0) - slack, covered.max(axis=0) + slack
+        grid = self._learned(workspace, settings, seed)
         return None if grid is None else grid.query_with_gradient
+
+    def _learned(
+        self, workspace: Workspace, settings: AdaptSettings, seed: int
+    ) -> DistanceGrid | None:
+        points, steps = settings.map_points, settings.map_steps
+        return neural_grid(self._bodies, workspace, points, steps, seed)
 
     def _arm(self, settings: AdaptSettings, seed: int) -> Arm:
         assert self._robot is not None
@@ -139,7 +151,7 @@ class Scene:
         if workspace is not None and settings.map == "exact":
             grid = exact_grid(self._bodies, workspace)
         elif workspace is not None:
-            grid = neural_grid(self._bodies, workspace, settings.map_points, seed)
+            grid = self._learned(workspace, settings, seed)
         cost = None if grid is None else CollisionCost(model, grid)
         return Arm(model, self._bodies, cost, settings)
 
