@@ -38,7 +38,7 @@ class PathPlan:
             "goal", "via_points[0]" and so on; 0 within a box or tolerance.
         passing: (P,) whether nothing is missed by more than the settings' `sigma`.
         components: (P,) mode of the demonstrations that each particle belongs to.
-        chosen: index of the best particle.
+        chosen: index of the likeliest particle under the posterior, of the good ones if there are.
         timings: seconds of each stage by name.
         message: empty, or why no particle is good.
         demonstrations: N arrays (T_j, D) that the primitive was learned from.
