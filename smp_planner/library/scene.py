@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from smp_gym.scene import Obstacle
 from smp_planner.costs import CollisionCost
 from smp_planner.library.chain import Arm, robot_workspace
+from smp_planner.library.frame import Frame
 from smp_planner.library.maps import Workspace, exact_grid, neural_grid
 from smp_planner.library.mover import Mover
 from smp_planner.library.point import Ball, DistanceMap, exact_map, in_space
 from smp_planner.library.settings import AdaptSettings
 from smp_planner.library.shapes import PathObstacle, bodies
 from smp_planner.library.site import Place, PlaceSite, Site
-from smp_planner.library.sites import Frame
 from smp_planner.library.urdf import Robot
 from smp_planner.occupancy.grid import DistanceGrid
 
@@ -61,11 +61,11 @@ class Scene:
         if robot is not None and radius > 0.0:
             raise ValueError(f"radius must be 0 for a robot, which has its own, got {radius}")
         self._frame, self._robot = frame, robot
-        self._radius = radius / frame.scale
+        self._radius = float(frame.lengths_inwards(radius))
         if robot is None:
-            self._bodies = bodies(obstacles, frame.dimension, frame.offset, frame.scale)
+            self._bodies = bodies(obstacles, frame)
         else:
-            self._bodies = bodies(obstacles, 3, np.zeros(3), 1.0)
+            self._bodies = bodies(obstacles, Frame(np.zeros(3), 1.0))
 
     def mover(
         self,
@@ -112,7 +112,7 @@ class Scene:
                 if (self._clearance((body,), candidates[0]) <= 0.0).any()
             ]
             names = " and ".join(f"obstacles[{index}]" for index in touched) or "the robot itself"
-            middle = self._frame.outwards(candidates[0].mean(axis=0)).tolist()
+            middle = self._frame.named(candidates[0].mean(axis=0))
             raise ValueError(f"{site.name} {middle} is inside or touches {names}")
 
     def _clearance(self, obstacles: tuple[Obstacle, ...], points: FloatArray) -> FloatArray:
