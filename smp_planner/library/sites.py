@@ -97,9 +97,13 @@ def _tool_site(
 
 
 def _place_site(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> PlaceSite:
+    options, shares = _options(wanted)
+    for option in options:
+        if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
+            raise ValueError(f"{name} must be a point, a Box or AnyOf of such, got {option!r}")
     places = [
         _place(name, frame, option, share, sigma)
-        for option, share in zip(*_options(wanted), strict=True)
+        for option, share in zip(options, shares, strict=True)
     ]
     return PlaceSite(name, phase, tuple(places))
 

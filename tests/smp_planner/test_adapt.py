@@ -319,6 +319,8 @@ def test_drawing(plan, tmp_path):
         ),
         ({"via_points": [(0.5, (9.0, 0.0))]}, "must be a ViaPoint"),
         ({"goal": GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))}, "has no robot"),
+        ({"goal": ViaPoint(0.5, (9.0, 0.0))}, "goal must be a point, a Box or AnyOf of such"),
+        ({"start": GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))}, "start must be a point"),
         ({"particles": 0}, "particles must be at least 1, got 0"),
         ({"radius": -1.0}, "radius must not be negative, got -1"),
         ({"method": "rrt"}, "method must be one of smp, cpromp"),

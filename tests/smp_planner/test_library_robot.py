@@ -18,6 +18,7 @@ from smp_planner.costs import CollisionCost
 from smp_planner.library.chain import Arm, robot_workspace
 from smp_planner.library.covering import cover_box, cover_cylinder, cover_mesh
 from smp_planner.library.maps import exact_grid
+from smp_planner.library.scene import Scene
 
 TIP = "j2s6s200_end_effector"
 AXES = [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0.6, 0, 0.8), (0, -1, 0), (1, 1, 1)]
@@ -286,6 +287,20 @@ def test_weights_do_not_change_with_steps_and_spheres(placing, jaco):
     assert costs[0] > 1.0
     assert costs[1] == pytest.approx(costs[0], rel=0.01)
     assert costs[2] == pytest.approx(costs[0])
+
+
+def test_a_learned_map_serves_a_robot(placing, jaco):
+    tool = jaco.tool_positions(placing.demonstrations[0])
+    ball = Obstacle(shape="sphere", position=tuple(tool[100]), size=(0.1, 0.1, 0.1))
+    scene = Scene(placing.frame, placing.robot, [ball], 0.0)
+    path = placing.demonstrations[0][None]
+    learned, exact = (
+        scene.mover(AdaptSettings(map=kind, map_points=5000, map_steps=400), 0, (), ())
+        for kind in ("neural", "exact")
+    )
+    expected = exact.collision(path, 0.02, 0.0)[0]
+    assert expected > 1.0
+    np.testing.assert_allclose(learned.collision(path, 0.02, 0.0)[0], expected, rtol=0.1)
 
 
 def test_what_does_not_fit_a_robot_is_named(placing, jaco):
