@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import Tensor
 
 from smp_planner.adaptation.target import Adaptation, Target
@@ -26,19 +25,32 @@ class Stein(Adaptation):
         step_size: of its first iteration; None takes the inference's own.
     """
 
-    inference: Literal["default", "paper", "no_repulsion"] = "default"
+    inference: str = "default"
     iterations: int = Field(default=100, ge=1)
     step_size: float | None = Field(default=None, gt=0.0)
 
-    def _settings(self) -> SVGDSettings:
+    @field_validator("inference")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        named_settings(name)
+        return name
+
+    def _settings(self, primitive: ProMP, steps: int) -> SVGDSettings:
         settings = replace(named_settings(self.inference), iterations=self.iterations)
-        return settings if self.step_size is None else replace(settings, step_size=self.step_size)
+        if self.step_size is not None:
+            settings = replace(settings, step_size=self.step_size)
+        if settings.needs_metric:
+            root = primitive.path_root(steps)
+            settings = settings.with_metric(
+                primitive.whiten_gradient(root) if settings.whiten else root
+            )
+        return settings
 
     def adapt(
         self, primitive: ProMP, latent: Tensor, target: Target, rng: np.random.Generator
     ) -> Tensor:
         """Return the particles after all iterations; nothing is drawn from `rng`."""
-        settings = self._settings()
+        settings = self._settings(primitive, target.steps)
         whiten = settings.whiten
         # The basis is evaluated once, not in each iteration.
         values = primitive.basis.values(phases(target.steps))

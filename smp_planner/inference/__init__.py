@@ -4,13 +4,20 @@
 `step_gaussian` those of the Gaussian.
 """
 
+from smp_planner.inference.annealing import cyclic_annealing, tanh_annealing
 from smp_planner.inference.gaussian_vi import (
     GaussianState,
     GaussianVISettings,
     init_gaussian,
     step_gaussian,
 )
-from smp_planner.inference.kernels import RBF, median_bandwidth, median_over_log_bandwidth
+from smp_planner.inference.kernels import (
+    RBF,
+    InverseMultiquadric,
+    MetricKernel,
+    median_bandwidth,
+    median_over_log_bandwidth,
+)
 from smp_planner.inference.svgd import (
     SETTINGS,
     State,
@@ -26,8 +33,11 @@ __all__ = [
     "SETTINGS",
     "GaussianState",
     "GaussianVISettings",
+    "InverseMultiquadric",
+    "MetricKernel",
     "SVGDSettings",
     "State",
+    "cyclic_annealing",
     "init",
     "init_gaussian",
     "median_bandwidth",
@@ -36,4 +46,5 @@ __all__ = [
     "stein_direction",
     "step",
     "step_gaussian",
+    "tanh_annealing",
 ]

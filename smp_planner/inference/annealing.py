@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-__all__ = ["linear_decay", "tanh_annealing"]
+__all__ = ["Schedule", "cyclic_annealing", "linear_decay", "tanh_annealing"]
+
+Schedule = Callable[[int, int, float], float]
+"""From iteration, iterations and the fraction of them that is annealed to a factor in (0, 1]."""
 
 _TANH_RATE = 1.3
 """How far the tanh is followed; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""
 
 
-def _check(iteration: int, iterations: int) -> None:
+def _check(iteration: int, iterations: int, fraction: float = 1.0) -> None:
     if not 0 <= iteration < iterations:
         raise ValueError(f"iteration must be in 0 .. {iterations - 1}, got {iteration}")
+    if not 0.0 < fraction <= 1.0:
+        raise ValueError(f"fraction must be in (0, 1], got {fraction}")
 
 
 def tanh_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> float:
@@ -32,11 +38,39 @@ def tanh_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> fl
     Raises:
         ValueError: an argument is out of range.
     """
-    _check(iteration, iterations)
-    if not 0.0 < fraction <= 1.0:
-        raise ValueError(f"fraction must be in (0, 1], got {fraction}")
+    _check(iteration, iterations, fraction)
     progress = min(1.0, (iteration + 1) / (fraction * iterations))
     return math.tanh(_TANH_RATE * progress) / math.tanh(_TANH_RATE)
+
+
+def cyclic_annealing(
+    iteration: int, iterations: int, fraction: float = 0.7, cycles: int = 4
+) -> float:
+    """Return the factor of the annealed term: it rises to 1 in cycles and is 1 from `fraction` on.
+
+    The cyclical schedule of D'Angelo & Fortuin (2021) with their exponent 1. Particles are freed
+    from where they settled at the start of each cycle; here the cycles end before the run does, so
+    that the last iterations have the true posterior as target.
+
+    Args:
+        iteration: 0 .. iterations - 1.
+        iterations: of the whole run.
+        fraction: part of the run that is annealed, in (0, 1].
+        cycles: in that part, at least 1.
+
+    Returns:
+        A factor in (0, 1].
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+    _check(iteration, iterations, fraction)
+    if cycles < 1:
+        raise ValueError(f"cycles must be at least 1, got {cycles}")
+    length = fraction * iterations / cycles
+    if iteration >= cycles * length:
+        return 1.0
+    return min(1.0, (iteration % length + 1.0) / length)
 
 
 def linear_decay(iteration: int, iterations: int, final: float) -> float:

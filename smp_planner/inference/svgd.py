@@ -20,10 +20,12 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from smp_planner.inference.annealing import linear_decay, tanh_annealing
+from smp_planner.inference.annealing import Schedule, cyclic_annealing, linear_decay, tanh_annealing
 from smp_planner.inference.kernels import (
     RBF,
+    InverseMultiquadric,
     Kernel,
+    MetricKernel,
     median_bandwidth,
     median_over_log_bandwidth,
 )
@@ -64,7 +66,8 @@ class SVGDSettings:
         step_size: of the first iteration.
         final_step: step size of the last iteration, as a fraction of the first.
         iterations: of a whole run.
-        annealing: fraction of the run that is annealed by a tanh; 0 for none.
+        annealing: fraction of the run that is annealed; 0 for none.
+        schedule: how the annealed part rises to its full size.
         annealed: the part of the score that is annealed.
         repulsion: whether particles see one another. Without, each climbs its own score: dropping
             only ∇k and keeping the average over particles would draw them all together.
@@ -80,6 +83,7 @@ class SVGDSettings:
     final_step: float = 0.1
     iterations: int = 100
     annealing: float = 0.7
+    schedule: Schedule = tanh_annealing
     annealed: Literal["score", "likelihood"] = "score"
     repulsion: bool = True
 
@@ -94,6 +98,21 @@ class SVGDSettings:
             raise ValueError(f"annealing must be in [0, 1], got {self.annealing}")
         if self.annealed not in ("score", "likelihood"):
             raise ValueError(f"annealed must be 'score' or 'likelihood', got {self.annealed!r}")
+
+    @property
+    def needs_metric(self) -> bool:
+        """Whether the kernel waits for the metric in which it shall measure."""
+        return isinstance(self.kernel, MetricKernel) and self.kernel.root is None
+
+    def with_metric(self, root: Tensor) -> SVGDSettings:
+        """Return the settings with the `root`, (m, d), of a `MetricKernel`.
+
+        Raises:
+            ValueError: the kernel is none, or `root` is not a finite matrix.
+        """
+        if not isinstance(self.kernel, MetricKernel):
+            raise ValueError(f"kernel must be a MetricKernel to be given a metric: {self.kernel}")
+        return replace(self, kernel=replace(self.kernel, root=root))
 
 
 _DEFAULT = SVGDSettings()
@@ -110,9 +129,18 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
             annealing=0.0,
         ),
         "no_repulsion": replace(_DEFAULT, repulsion=False),
+        "raw": replace(_DEFAULT, whiten=False),
+        "median_over_log": replace(_DEFAULT, kernel=RBF(median_over_log_bandwidth)),
+        "imq": replace(_DEFAULT, kernel=InverseMultiquadric()),
+        "path_kernel": replace(_DEFAULT, kernel=MetricKernel()),
+        "no_annealing": replace(_DEFAULT, annealing=0.0),
+        "cyclic": replace(_DEFAULT, schedule=cyclic_annealing),
     }
 )
-"""The settings that are compared: ours, the paper's, and ours with particles on their own."""
+"""The settings that are compared: ours, the paper's, ours with particles on their own, and ours
+with one thing changed: raw weights, the paper's bandwidth, another kernel (inverse multi-quadric,
+or of the distance of paths, whose metric `SVGDSettings.with_metric` gives), no annealing, or cycles
+of it."""
 
 
 def named_settings(name: str) -> SVGDSettings:
@@ -185,7 +213,7 @@ def step(
         _check_finite(name, score)
     temper = 1.0
     if settings.annealing > 0.0:
-        temper = tanh_annealing(state.iteration, settings.iterations, settings.annealing)
+        temper = settings.schedule(state.iteration, settings.iterations, settings.annealing)
     if settings.annealed == "likelihood":
         score, attraction = torch.add(prior_score, likelihood_score, alpha=temper), 1.0
     else:

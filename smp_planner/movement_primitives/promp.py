@@ -372,6 +372,18 @@ class ProMP:
         """
         return (self.basis.values(self._phases(at)).mT @ gradient).flatten(-2)
 
+    def path_root(self, samples: int) -> Tensor:
+        """Return R with |R (w - w')| the distance of two paths, root mean square over phase.
+
+        Args:
+            samples: T equally spaced phases.
+
+        Returns:
+            (min(T, K) * D, K*D); for whitened coordinates, `whiten_gradient` of it.
+        """
+        identity = torch.eye(self.dimension, dtype=self.mean.dtype, device=self.mean.device)
+        return torch.kron(self.basis.path_root(samples).to(self.mean), identity)
+
     def _phases(self, at: int | Tensor) -> Tensor:
         if isinstance(at, Tensor):
             return at.to(self.mean)
