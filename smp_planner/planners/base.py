@@ -37,7 +37,7 @@ from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
 from smp_planner.verification import Verification, check_collisions, verify
 
-__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch"]
+__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "one_thread"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -68,7 +68,7 @@ class PlannerSettings(BaseModel):
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Keep torch to one thread: its matrices are small here, and waking others costs more."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -152,7 +152,7 @@ class PlannerModel(ABC):
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""
-        with _one_thread():
+        with one_thread():
             return [self._plan(problem) for problem in problems]
 
     @abstractmethod
