@@ -54,7 +54,19 @@ CANDIDATES: dict[str, tuple[dict[str, Any], ...]] = {
         {"margin": 0.05, "fit_std": 0.2},
     ),
 }
-"""Settings that are tried for each method, on top of those that it has now."""
+"""Settings that are tried for each method, in place of its defaults."""
+
+STROKE_CANDIDATES: tuple[dict[str, Any], ...] = (
+    {"via_share": 0.25},
+    {"via_share": 0.0},
+    {"via_share": 0.0, "obstacle_weight": 30.0},
+)
+"""Further ones where a stroke is to be followed."""
+
+
+def candidates(task: str, method: str) -> tuple[dict[str, Any], ...]:
+    """Return the settings that are tried for a method on a task."""
+    return CANDIDATES[method] + (STROKE_CANDIDATES if task == "DrawS" else ())
 
 
 class Trial(NamedTuple):
@@ -118,7 +130,7 @@ def main(
     cells = [
         (task, method, settings, difficulty, seeds)
         for task, method in groups
-        for settings in CANDIDATES[method]
+        for settings in candidates(task, method)
     ]
     console = Console()
     context = multiprocessing.get_context("spawn")

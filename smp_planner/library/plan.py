@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from smp_gym.scene import Obstacle
-from smp_planner.library.shapes import PathObstacle
+from smp_planner.library.drawing import draw
+from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
 from smp_planner.modes import Modes, group, signatures_2d, signatures_3d
 
 __all__ = ["PathPlan"]
@@ -36,7 +39,7 @@ class PathPlan:
             "goal", "via_points[0]" and so on; 0 within a box or tolerance.
         passing: (P,) whether nothing is missed by more than the settings' `sigma`.
         components: (P,) mode of the demonstrations that each particle belongs to.
-        chosen: index of the best particle.
+        chosen: index of the likeliest particle under the posterior, of the good ones if there are.
         timings: seconds of each stage by name.
         message: empty, or why no particle is good.
         demonstrations: N arrays (T_j, D) that the primitive was learned from.
@@ -76,27 +79,40 @@ class PathPlan:
         """Seconds of all stages together."""
         return float(sum(self.timings.values()))
 
+    @property
+    def planar_obstacles(self) -> tuple[Circle | Rectangle, ...]:
+        """The obstacles in the plane."""
+        return tuple(o for o in self.obstacles if not isinstance(o, Obstacle))
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw paths in the plane; see `smp_planner.library.drawing.draw`."""
+        return draw(self, axes)
+
     @cached_property
     def signatures(self) -> NDArray[np.int64]:
-        """(P, ...) how each path goes round the obstacles; see `smp_planner.modes`.
+        """(P, M) in the plane or (P, M, 2) in space: how each path goes round each obstacle.
 
-        Of a robot it is the tool's way that counts.
+        See `smp_planner.modes`; in space, over and under is along an obstacle's own z axis, and of
+        a robot it is the tool's way that counts.
 
         Raises:
             ValueError: the paths are neither in the plane nor in space.
         """
         paths = self.trajectories if self.tool_paths is None else self.tool_paths
         if paths.shape[-1] == 2:
-            planar = [o.center for o in self.obstacles if not isinstance(o, Obstacle)]
-            return signatures_2d(paths, np.array(planar).reshape(-1, 2))
+            centers = np.array([o.center for o in self.planar_obstacles]).reshape(-1, 2)
+            return signatures_2d(paths, centers)
         if paths.shape[-1] != 3:
             raise ValueError(f"signatures need paths in the plane or in space, got {paths.shape}")
         solid = [o for o in self.obstacles if isinstance(o, Obstacle)]
+        if not solid:
+            return np.empty((len(paths), 0, 2), np.int64)
         return signatures_3d(
             paths,
-            np.array([o.position for o in solid]).reshape(-1, 3),
+            np.array([o.position for o in solid]),
             np.array([o.size[2] for o in solid]),
             np.array([_radius(o) for o in solid]),
+            Rotation.from_quat([o.quaternion for o in solid]).apply((0.0, 0.0, 1.0)),
         )
 
     @cached_property

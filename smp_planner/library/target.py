@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.library.modulation import Site, site_cost
 from smp_planner.library.mover import Mover, ValueAndGradient
 from smp_planner.library.settings import AdaptSettings
+from smp_planner.library.site import Site
 
 __all__ = ["SceneTarget", "at_phase"]
 
@@ -68,6 +68,14 @@ class SceneTarget:
         width = first * (last / first) ** progress
         return self.mover.collision(trajectories, width, self.settings.margin)[1]
 
+    def weighted_sum(self, trajectories: FloatArray) -> FloatArray:
+        """Return the weighted sum (P,) of costs, with the map's edge at its last width."""
+        width, margin = self.settings.edge_width[1], self.settings.margin
+        total = self.settings.obstacle_weight * self.mover.collision(trajectories, width, margin)[0]
+        for weight, (value, _) in self._terms(trajectories).values():
+            total = total + weight * value
+        return total
+
     def costs(self, trajectories: FloatArray) -> dict[str, FloatArray]:
         """Return the unweighted costs (P,) by name, with the map's edge at its last width."""
         width = self.settings.edge_width[1]
@@ -77,7 +85,7 @@ class SceneTarget:
     def _terms(self, trajectories: FloatArray) -> dict[str, tuple[float, ValueAndGradient]]:
         terms = self.mover.limits(trajectories)
         for site in self.sites:
-            value, slope = site_cost(site, at_phase(trajectories, site.phase))
+            value, slope = site.cost(at_phase(trajectories, site.phase))
             first, share = _segment(trajectories.shape[1], site.phase)
             gradient = np.zeros(trajectories.shape)
             gradient[:, first] = (1.0 - share) * slope

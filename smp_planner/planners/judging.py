@@ -7,14 +7,24 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from smp_gym.scene import Obstacle
+from smp_planner.edge_check import EdgeChecker
 from smp_planner.modes import signatures_3d
-from smp_planner.problem import Problem
-from smp_planner.robot_model import RobotModel
+from smp_planner.problem import Problem, Stage
+from smp_planner.robot_model import RobotModel, jaco_of_spheres
 from smp_planner.verification import Verification
 
-__all__ = ["REACHED", "SAFE_CLEARANCE", "goal_distances", "missed_via_points", "rank", "signatures"]
+__all__ = [
+    "REACHED",
+    "SAFE_CLEARANCE",
+    "free_waypoints",
+    "goal_distances",
+    "missed_via_points",
+    "rank",
+    "signatures",
+]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 SAFE_CLEARANCE = 0.01
@@ -41,6 +51,19 @@ def goal_distances(problem: Problem, robot: RobotModel, ends: FloatArray) -> Flo
         outside = points - np.clip(points, goal.lower, goal.upper)
         distances.append(np.linalg.norm(outside, axis=-1))
     return np.array(distances)
+
+
+def free_waypoints(problem: Problem, robot: RobotModel, trajectories: FloatArray) -> BoolArray:
+    """Return (P, T) whether the configurations of trajectories (P, T, D) rad touch nothing."""
+    count = trajectories.shape[1]
+    free = np.ones(trajectories.shape[:2], np.bool_)
+    stages = problem.stages or (Stage(0.0, 1.0, robot.spheres, problem.obstacles),)
+    for stage in stages:
+        part = trajectories[:, stage.steps(count)]
+        checker = EdgeChecker(jaco_of_spheres(stage.spheres), stage.obstacles)
+        found = checker.configurations_free(part.reshape(-1, part.shape[-1]))
+        free[:, stage.steps(count)] &= found.reshape(part.shape[:2])
+    return free
 
 
 def missed_via_points(problem: Problem, robot: RobotModel, trajectories: FloatArray) -> FloatArray:

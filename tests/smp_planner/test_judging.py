@@ -7,16 +7,23 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.kinematics import end_effector_pose, finger_spheres
+from smp_gym.kinematics import (
+    arm_spheres,
+    concatenate,
+    end_effector_pose,
+    finger_spheres,
+    sphere_centers,
+)
 from smp_gym.observation import decode
 from smp_gym.scene import Obstacle
 from smp_planner.modes import group
+from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planners import make_planner
-from smp_planner.planners.judging import goal_distances, rank, signatures
+from smp_planner.planners.judging import free_waypoints, goal_distances, rank, signatures
 from smp_planner.problem import GoalRegion, Plan, Problem
 from smp_planner.reading import problem_from
 from smp_planner.robot_model import jaco_model
-from smp_planner.verification import Verification
+from smp_planner.verification import TOLERANCE, Verification
 
 POSTURE = np.array([0.0, 3.6, 1.6, 1.5, 1.5, 1.0])
 FINGERS = finger_spheres((0.0, 0.0, 0.0, 0.0))
@@ -169,3 +176,21 @@ def test_a_planner_tells_the_modes_of_what_it_planned():
     assert plan.ranks[plan.chosen] == 0
     assert plan.chosen in plan.best_of_modes
     assert plan.modes.count == group(plan.signatures[plan.good]).count >= 2
+
+
+def test_waypoints_are_free_where_spheres_keep_clear():
+    """Checked sphere by sphere, with nothing of the planner's own checker."""
+    obstacle = pole(hand(QUARTER / 2) - np.array([0.0, 0.0, 0.1]), 0.1)
+    problem = problem_with((obstacle,), (around(hand(QUARTER)),))
+    trajectories = turning(QUARTER, 0.3, count=60)
+    spheres = concatenate(arm_spheres(), FINGERS)
+    moving = spheres.link > 0
+    centers = sphere_centers(trajectories.reshape(-1, 6), spheres)[:, moving]
+    clearance = (signed_distance(centers, (obstacle,)) - spheres.radius[moving]).min(axis=1)
+    gap = clearance.reshape(2, 60)
+    found = free_waypoints(problem, jaco_model(FINGERS), trajectories)
+    assert (gap[0] > 2 * TOLERANCE).any()
+    assert (gap[0] < 0).any()
+    # Between once and twice the tolerance, either answer is right.
+    assert found[gap > 2 * TOLERANCE].all()
+    assert not found[gap < TOLERANCE].any()
