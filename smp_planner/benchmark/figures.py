@@ -129,7 +129,13 @@ class Way:
     rimmed: bool = False
 
 
-def paint_scene(axes: Any, scene: Scene, ways: Sequence[Way], azimuth: float = _AZIMUTH) -> None:
+def paint_scene(
+    axes: Any,
+    scene: Scene,
+    ways: Sequence[Way],
+    azimuth: float = _AZIMUTH,
+    within: Sequence[Way] = (),
+) -> None:
     """Paint a scene, the arm at its start, and lines, in perspective.
 
     Args:
@@ -137,12 +143,13 @@ def paint_scene(axes: Any, scene: Scene, ways: Sequence[Way], azimuth: float = _
         scene: what is painted.
         ways: lines, each hidden by what is before it.
         azimuth: degrees, from where it is seen; see `Camera`.
+        within: further lines that there shall be room for, so that pictures can be compared.
     """
     arm = _arm(scene)
     bin_parts = fixtures(scene)[1:]
     bodies = [*scene.obstacles, *bin_parts]
     corners = [np.concatenate(body_faces(body)) for body in bodies]
-    points = np.concatenate([arm, *(way.path for way in ways), *corners])
+    points = np.concatenate([arm, *(way.path for way in (*ways, *within)), *corners])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     target = (float(middle[0]), float(middle[1]), float(middle[2]))
     painter = Painter(Camera(target, azimuth, _ELEVATION, _DISTANCE))

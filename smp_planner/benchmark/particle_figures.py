@@ -68,6 +68,12 @@ _TITLES = {
     "DoubleSidedPlacement": "Placement on double sides",
 }
 _STILLS = 5
+_LEAST_SHARE = 0.1
+"""Share of the good particles that each of two modes must hold."""
+
+_FAR_CAMERA = {"distance": 1.7, "target": (0.32, 0.0, 0.3)}
+_FRONT_CAMERA = {"yaw": 95.0, "pitch": -35.0}
+_FRONT_AZIMUTH = 12.0
 
 
 def _plan(policy: PlannerPolicy, env: gym.Env[Any, Any], scene: Scene) -> Plan:
@@ -106,12 +112,17 @@ def play_particle(
     return bool(info["is_success"]), frames
 
 
+def _successful(plan: Plan) -> NDArray[np.bool_]:
+    """Return (P,) which particles the planner judges good and at the goal."""
+    return plan.good & (plan.goal_error < REACHED)
+
+
 def _ways(scene: Scene, plan: Plan) -> list[Way]:
-    """Return a line for each particle: free, or colliding."""
+    """Return a line for each particle: successful, or not."""
     paths = object_paths(plan.trajectories, carried_point(scene))
     return [
-        Way(path, _FREE if free else _COLLIDING)
-        for path, free in zip(paths, plan.collision_free, strict=True)
+        Way(path, _FREE if done else _COLLIDING)
+        for path, done in zip(paths, _successful(plan), strict=True)
     ]
 
 
@@ -127,29 +138,35 @@ def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
     """
     figure = Figure(figsize=(5.2 * len(scenes), 9.4), dpi=130, facecolor="white")
     FigureCanvasAgg(figure)
-    width = 1.0 / len(scenes)
+    width = 0.97 / len(scenes)
     for column, scene in enumerate(scenes):
         env = gym.make(environment_id(scene.task))
-        for row, settings in enumerate((_BEFORE, {})):
-            policy = PlannerPolicy.make("smp", scene.task, settings=settings)
-            plan = _plan(policy, env, scene)
-            corner = (column * width + 0.004, 0.485 - 0.455 * row, width - 0.008, 0.42)
-            axes = figure.add_axes(corner)
-            paint_scene(axes, scene, _ways(scene, plan))
-            count, free = len(plan.collision_free), int(plan.collision_free.sum())
-            axes.set_title(f"{free} of {count} collision-free", fontsize=11, color=_DARK, y=-0.04)
+        plans = [
+            _plan(PlannerPolicy.make("smp", scene.task, settings=settings), env, scene)
+            for settings in (_BEFORE, {})
+        ]
         env.close()
-        figure.text(
-            (column + 0.5) * width,
-            0.955,
-            _TITLES[scene.task],
-            fontsize=16,
-            weight="bold",
-            ha="center",
-        )
-        figure.text((column + 0.5) * width, 0.925, "before adaptation", ha="center", fontsize=12)
-        figure.text((column + 0.5) * width, 0.455, "after adaptation", ha="center", fontsize=12)
+        ways = [_ways(scene, plan) for plan in plans]
+        left = 0.03 + column * width
+        both = [figure.add_axes((left, bottom, width - 0.006, 0.42)) for bottom in (0.5, 0.035)]
+        for row, (axes, plan) in enumerate(zip(both, plans, strict=True)):
+            paint_scene(axes, scene, ways[row], within=ways[1 - row])
+            count, done = len(plan.good), int(_successful(plan).sum())
+            axes.set_title(f"{done} of {count} succeed", fontsize=11, color=_DARK, y=-0.05)
+        _share_limits(both)
+        name = _TITLES[scene.task]
+        figure.text(left + width / 2, 0.955, name, fontsize=16, weight="bold", ha="center")
+    for height, name in ((0.71, "before adaptation"), (0.245, "after adaptation")):
+        figure.text(0.01, height, name, fontsize=13, rotation=90, va="center")
     figure.savefig(path)
+
+
+def _share_limits(pictures: Sequence[Any]) -> None:
+    """Give pictures from one camera the same limits, wide enough for each."""
+    for get, set_ in (("get_xlim", "set_xlim"), ("get_ylim", "set_ylim")):
+        limits = np.array([getattr(axes, get)() for axes in pictures])
+        for axes in pictures:
+            getattr(axes, set_)(limits[:, 0].min(), limits[:, 1].max())
 
 
 @dataclass(frozen=True)
@@ -174,7 +191,7 @@ class TwoModes:
 def _over_and_beside(scene: Scene, plan: Plan) -> list[TwoModes]:
     """Return all pairs of best good particles of two modes, over and beside some obstacle."""
     best = plan.best_of_modes
-    best = best[plan.goal_error[best] < REACHED]
+    best = best[_successful(plan)[best] & (plan.modes.shares >= _LEAST_SHARE)]
     if plan.signatures is None or len(best) == 0:
         return []
     levels = plan.signatures[best, 1:].reshape(len(best), -1, 2)[..., 1]
@@ -190,7 +207,8 @@ def _over_and_beside(scene: Scene, plan: Plan) -> list[TwoModes]:
 def find_two_modes(task: str, seeds: range, difficulty: str = "easy") -> TwoModes:
     """Return the two modes, over and beside an obstacle, that are farthest apart in some scenes.
 
-    Both are executed with success in the physics.
+    Each holds a tenth of the good particles at least, and its best one is executed with success in
+    the physics.
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
@@ -241,7 +259,11 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
     FigureCanvasAgg(figure)
     width, height = FRAME_SIZE
     env = gym.make(
-        environment_id(pair.scene.task), render_mode="rgb_array", width=width, height=height
+        environment_id(pair.scene.task),
+        render_mode="rgb_array",
+        width=width,
+        height=height,
+        camera=_FAR_CAMERA,
     )
     policy = PlannerPolicy.make("smp", pair.scene.task)
     done = []
@@ -315,7 +337,13 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
     """
     scene = modulated_scene()
     width, height = FRAME_SIZE
-    env = gym.make(environment_id(scene.task), render_mode="rgb_array", width=width, height=height)
+    env = gym.make(
+        environment_id(scene.task),
+        render_mode="rgb_array",
+        width=width,
+        height=height,
+        camera=_FRONT_CAMERA,
+    )
     policy = PlannerPolicy.make("smp", scene.task, seed=seed)
     plan = _plan(policy, env, scene)
     assert plan.signatures is not None
@@ -327,10 +355,10 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
     shipped = object_paths(Demonstrations.load(scene.task).configurations, carried_point(scene))
     taught = [Way(path, _DARK, 1.1, dashed=True) for path in shipped]
     bare = scene.model_copy(update={"obstacles": ()})
-    paint_scene(figure.add_axes((0.0, 0.47, 0.5, 0.46)), bare, taught)
+    paint_scene(figure.add_axes((0.0, 0.47, 0.5, 0.46)), bare, taught, _FRONT_AZIMUTH)
     done, best = [], []
     for side, name in enumerate(("left", "right")):
-        candidates = np.flatnonzero(plan.good & (sides == side) & (plan.goal_error < REACHED))
+        candidates = np.flatnonzero(_successful(plan) & (sides == side))
         if len(candidates) == 0:
             raise RuntimeError(f"no good particle goes to the {name} pad")
         best.append(int(candidates[plan.ranks[candidates].argmin()]))
@@ -346,17 +374,20 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
             0.008, 0.443 - 0.225 * side, name, fontsize=13, weight="bold", color=_MODES[side]
         )
     env.close()
-    ways = [
-        Way(path, _FREE if good else _COLLIDING)
-        for path, good in zip(paths, plan.good, strict=True)
-    ]
+    ways = _ways(scene, plan)
     chosen = [Way(paths[p], color, 3.4, rimmed=True) for p, color in zip(best, _MODES, strict=True)]
-    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, [*ways, *chosen])
+    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, [*ways, *chosen], _FRONT_AZIMUTH)
     figure.text(0.02, 0.955, "demonstrations, new start and new ends", fontsize=15, weight="bold")
     figure.text(0.52, 0.955, "adapted", fontsize=15, weight="bold")
     figure.legend(
         handles=[
-            Line2D([], [], color=_FREE, lw=1.5, label=f"good particles ({int(plan.good.sum())})"),
+            Line2D(
+                [],
+                [],
+                color=_FREE,
+                lw=1.5,
+                label=f"particles that succeed ({int(_successful(plan).sum())})",
+            ),
             Line2D([], [], color=_MODES[0], lw=3.4, label="executed, left"),
             Line2D([], [], color=_MODES[1], lw=3.4, label="executed, right"),
         ],
