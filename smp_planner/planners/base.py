@@ -25,15 +25,22 @@ from smp_planner.movement_primitives import (
     smooth_covariance,
 )
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.planners.judging import goal_distances, missed_via_points, rank, signatures
+from smp_planner.planners.judging import (
+    REACHED,
+    goal_distances,
+    missed_via_points,
+    rank,
+    signatures,
+)
 from smp_planner.planners.tying import TiedPrimitive, tie_primitive
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
 from smp_planner.verification import Verification, check_collisions, verify
 
-__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch"]
+__all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "one_thread"]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 SAMPLES = 200
 """T of the trajectories in a plan, as in the demonstrations."""
@@ -61,7 +68,7 @@ class PlannerSettings(BaseModel):
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Keep torch to one thread: its matrices are small here, and waking others costs more."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -145,7 +152,7 @@ class PlannerModel(ABC):
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""
-        with _one_thread():
+        with one_thread():
             return [self._plan(problem) for problem in problems]
 
     @abstractmethod
@@ -263,6 +270,13 @@ class PlannerModel(ABC):
             stopwatch,
             components=components,
         )
+
+    def good(self, problem: Problem, robot: RobotModel, trajectories: FloatArray) -> BoolArray:
+        """Return which of (P, T, D) trajectories, rad, are good and reach the goal, (P,)."""
+        verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
+        passing = missed_via_points(problem, robot, trajectories) <= 0.0
+        reaching = goal_distances(problem, robot, trajectories[:, -1]).min(axis=0) < REACHED
+        return verdict.collision_free & verdict.executable & passing & reaching
 
     def judge(
         self,

@@ -1,0 +1,97 @@
+"""How one says what a path shall pass: via-points, boxes, and choices among them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from smp_planner.problem import GoalRegion
+
+__all__ = ["AnyOf", "Box", "ViaPoint"]
+
+FloatArray = NDArray[np.float64]
+
+
+def _vector(name: str, value: ArrayLike) -> FloatArray:
+    array = np.array(value, np.float64)
+    if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be a vector of finite numbers, got {value!r}")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box in which a path shall start or end, with Gaussian tails outside: Eq. (14).
+
+    Attributes:
+        lower: (D,) lower corner, in the unit of the path.
+        upper: (D,) upper corner.
+        sigma: same unit, standard deviation of the tails; None takes that of the settings.
+        paper_scale: reads the denominator of Eq. (14) as printed, √2 σ², in place of 2 σ².
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    sigma: float | None = None
+    paper_scale: bool = False
+
+    def __post_init__(self) -> None:
+        lower, upper = _vector("Box.lower", self.lower), _vector("Box.upper", self.upper)
+        if lower.shape != upper.shape or not (lower <= upper).all():
+            raise ValueError(f"Box.lower {lower} must not exceed Box.upper {upper}")
+        if self.sigma is not None and not (math.isfinite(self.sigma) and self.sigma > 0.0):
+            raise ValueError(f"Box.sigma must be positive, got {self.sigma}")
+        object.__setattr__(self, "lower", lower)
+        object.__setattr__(self, "upper", upper)
+
+
+@dataclass(frozen=True, eq=False)
+class AnyOf:
+    """Several places of which any will do: a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
+
+    Attributes:
+        options: points (D,) or `Box`es for start and goal; `ViaPoint`s of one phase for via-points;
+            `GoalRegion`s for the goal of a robot's tool.
+        shares: π_h, positive; equal by default.
+    """
+
+    options: Sequence[ArrayLike | Box | ViaPoint | GoalRegion]
+    shares: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        options = tuple(self.options)
+        if not options:
+            raise ValueError("AnyOf.options must hold at least one place, got none")
+        shares = np.ones(len(options)) if self.shares is None else np.asarray(self.shares, float)
+        if shares.shape != (len(options),) or not (np.isfinite(shares) & (shares > 0)).all():
+            raise ValueError(
+                f"AnyOf.shares must be {len(options)} positive numbers, got {self.shares}"
+            )
+        object.__setattr__(self, "options", options)
+        object.__setattr__(self, "shares", tuple((shares / shares.sum()).tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class ViaPoint:
+    """A point that a path shall pass at a phase.
+
+    Attributes:
+        phase: in [0, 1].
+        position: (D,) in the unit of the path.
+        tolerance: same unit, distance that may remain; 0 is exactly.
+    """
+
+    phase: float
+    position: FloatArray
+    tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.phase <= 1.0:
+            raise ValueError(f"ViaPoint.phase must lie in [0, 1], got {self.phase}")
+        if not (math.isfinite(self.tolerance) and self.tolerance >= 0.0):
+            raise ValueError(f"ViaPoint.tolerance must not be negative, got {self.tolerance}")
+        object.__setattr__(self, "position", _vector("ViaPoint.position", self.position))

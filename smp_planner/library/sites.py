@@ -1,0 +1,154 @@
+"""What the user asks of a path, checked and turned into sites in normalised coordinates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from smp_planner.library.frame import Frame
+from smp_planner.library.modulation import AnyOf, Box, ViaPoint
+from smp_planner.library.site import Place, PlaceSite, Site, ToolSite
+from smp_planner.movement_primitives.box_prior import SmoothBox
+from smp_planner.problem import GoalRegion
+from smp_planner.robot_model import RobotModel
+
+__all__ = ["Wanted", "sites_of"]
+
+FloatArray = NDArray[np.float64]
+Wanted = ArrayLike | Box | GoalRegion | AnyOf
+"""Where a path may be asked to start or end."""
+
+TOLERANCE_SHARE = 0.8
+"""Share of a via-point's tolerance that the box around it takes up, corners included."""
+
+_SAME = 1e-9
+"""Difference of phases, and extents, up to which two are the same."""
+
+
+def sites_of(
+    frame: Frame,
+    start: Wanted | None,
+    via_points: Sequence[ViaPoint | AnyOf],
+    goal: Wanted | None,
+    sigma: float,
+    robot: RobotModel | None,
+) -> tuple[Site, ...]:
+    """Return what a path shall be near to, ascending in phase.
+
+    Args:
+        frame: of the path.
+        start: where it shall begin; None leaves that to the demonstrations.
+        via_points: what it shall pass.
+        goal: where it shall end; None leaves that to the demonstrations.
+        sigma: of tails where none is given, in extents; m for the regions of a tool.
+        robot: that moves; None for a ball.
+
+    Raises:
+        ValueError: a place of another dimension than the path or not finite, options of a
+            via-point at different phases, a region for the tool of no robot, or two sites of one
+            phase that cannot both be met.
+    """
+    sites: list[Site] = []
+    if start is not None:
+        sites.append(_place_site("start", 0.0, frame, start, sigma))
+    if goal is not None:
+        options, shares = _options(goal)
+        if any(isinstance(option, GoalRegion) for option in options):
+            sites.append(_tool_site(options, shares, robot, sigma))
+        else:
+            sites.append(_place_site("goal", 1.0, frame, goal, sigma))
+    for index, via in enumerate(via_points):
+        name = f"via_points[{index}]"
+        options, _ = _options(via)
+        for option in options:
+            if not isinstance(option, ViaPoint):
+                raise ValueError(f"{name} must be a ViaPoint or AnyOf of such, got {option!r}")
+        phases = sorted({option.phase for option in options})
+        if len(phases) > 1:
+            raise ValueError(f"{name} must be options of one phase, got {phases}")
+        sites.append(_place_site(name, phases[0], frame, via, sigma))
+    for first, second in combinations(sites, 2):
+        if isinstance(first, PlaceSite) and isinstance(second, PlaceSite):
+            _refuse_contradiction(frame, first, second)
+    return tuple(sorted(sites, key=lambda site: site.phase))
+
+
+def _options(wanted: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
+    if isinstance(wanted, AnyOf):
+        assert wanted.shares is not None
+        return tuple(wanted.options), tuple(wanted.shares)
+    return (wanted,), (1.0,)
+
+
+def _tool_site(
+    options: tuple[Any, ...], shares: tuple[float, ...], robot: RobotModel | None, sigma: float
+) -> ToolSite:
+    if robot is None:
+        raise ValueError("goal is a region for a tool, but the primitive has no robot")
+    if not all(isinstance(option, GoalRegion) for option in options):
+        raise ValueError(f"goal must be regions for the tool or places of the path, got {options}")
+    return ToolSite(options, shares, robot, sigma)
+
+
+def _place_site(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> PlaceSite:
+    options, shares = _options(wanted)
+    for option in options:
+        if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
+            raise ValueError(f"{name} must be a point, a Box or AnyOf of such, got {option!r}")
+    places = [
+        _place(name, frame, option, share, sigma)
+        for option, share in zip(options, shares, strict=True)
+    ]
+    return PlaceSite(name, phase, tuple(places))
+
+
+def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> Place:
+    paper_scale, tolerance, point = False, 0.0, None
+    if isinstance(wanted, Box):
+        if wanted.sigma is not None:
+            sigma = float(frame.lengths_inwards(wanted.sigma))
+        paper_scale = wanted.paper_scale
+        lower, upper = wanted.lower, wanted.upper
+    else:
+        if isinstance(wanted, ViaPoint):
+            tolerance = float(frame.lengths_inwards(wanted.tolerance))
+            wanted = wanted.position
+        point = lower = upper = np.asarray(wanted, np.float64)
+    if lower.shape != (frame.dimension,):
+        raise ValueError(
+            f"{name} must have the {frame.dimension} coordinates that the demonstrations have, "
+            f"got shape {np.shape(lower)}"
+        )
+    if not np.isfinite(lower).all():
+        raise ValueError(f"{name} must be finite, got {lower}")
+    half = TOLERANCE_SHARE * tolerance / math.sqrt(frame.dimension)
+    box = SmoothBox(
+        torch.from_numpy(frame.inwards(lower) - half),
+        torch.from_numpy(frame.inwards(upper) + half),
+        torch.tensor(sigma),
+        paper_scale,
+    )
+    return Place(box, None if point is None else frame.inwards(point), tolerance, share)
+
+
+def _refuse_contradiction(frame: Frame, first: PlaceSite, second: PlaceSite) -> None:
+    if abs(first.phase - second.phase) > _SAME:
+        return
+    for a in first.places:
+        for b in second.places:
+            if a.point is None or b.point is None:
+                return
+            if np.linalg.norm(a.point - b.point) <= a.tolerance + b.tolerance + _SAME:
+                return
+    points = [site.places[0].point for site in (first, second)]
+    places = " and ".join(frame.named(p) for p in points if p is not None)
+    raise ValueError(
+        f"{first.name} and {second.name} contradict each other at phase {first.phase}: no path "
+        f"passes {places} at once; for a choice of places use AnyOf"
+    )
