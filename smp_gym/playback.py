@@ -14,7 +14,7 @@ from smp_gym.scene import Scene
 
 __all__ = ["play"]
 
-_SPEED = 0.95
+_SPEED = 0.9
 """Share of the velocity limits at which a trajectory is played."""
 
 _WAITING_STEPS = 60
@@ -36,7 +36,7 @@ def play(
         env: of the scene's task.
         scene: what to play it in.
         trajectory: (T, 6) rad at equal steps of phase.
-        duration: s; default as fast as 0.95 times the velocity limits allow.
+        duration: s; default as fast as 0.9 times the velocity limits allow.
         grasp: sample at which the hand, open until then, closes on the object and holds it from
             then on; by default the object is in the hand, which lets go at the end.
     """

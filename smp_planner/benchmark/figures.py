@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,15 @@ from smp_planner.benchmark.episodes import (
 )
 from smp_planner.policy import PlannerPolicy
 
-__all__ = ["draw_episode", "object_paths", "scene_figure", "write_video"]
+__all__ = [
+    "Way",
+    "carried_point",
+    "draw_episode",
+    "object_paths",
+    "paint_scene",
+    "scene_figure",
+    "write_video",
+]
 
 FRAME_RATE = round(1.0 / CONTROL_PERIOD)
 """Frames per second of a video: real time."""
@@ -65,7 +74,7 @@ def object_paths(trajectories: FloatArray, point: FloatArray = GRASP_CENTER) -> 
     return paths
 
 
-def _carried(scene: Scene) -> FloatArray:
+def carried_point(scene: Scene) -> FloatArray:
     """Return the point (3,) m of the end-effector frame whose way is drawn."""
     return GRASP_CENTER if scene.manipulated is not None else PEN_TIP
 
@@ -101,34 +110,80 @@ def _paint_table(painter: Painter, points: FloatArray) -> None:
             painter.flat_line(line, _GRID, 0.6)
 
 
-def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
-    scene, plan = rollout.scene, rollout.plan
-    paths, arm = object_paths(plan.trajectories, _carried(scene)), _arm(scene)
+@dataclass(frozen=True)
+class Way:
+    """A line in a scene.
+
+    Attributes:
+        path: (N, 3) m.
+        color: of the line.
+        width: points.
+        dashed: whether it is dashed.
+        rimmed: whether it has a white rim and stands out among others.
+    """
+
+    path: FloatArray
+    color: str
+    width: float = 0.9
+    dashed: bool = False
+    rimmed: bool = False
+
+
+def paint_scene(
+    axes: Any,
+    scene: Scene,
+    ways: Sequence[Way],
+    azimuth: float = _AZIMUTH,
+    within: Sequence[Way] = (),
+) -> None:
+    """Paint a scene, the arm at its start, and lines, in perspective.
+
+    Args:
+        axes: flat axes of matplotlib, fitted to the picture.
+        scene: what is painted.
+        ways: lines, each hidden by what is before it.
+        azimuth: degrees, from where it is seen; see `Camera`.
+        within: further lines that there shall be room for, so that pictures can be compared.
+    """
+    arm = _arm(scene)
     bin_parts = fixtures(scene)[1:]
     bodies = [*scene.obstacles, *bin_parts]
     corners = [np.concatenate(body_faces(body)) for body in bodies]
-    points = np.concatenate([arm, paths.reshape(-1, 3), demonstrations.reshape(-1, 3), *corners])
+    points = np.concatenate([arm, *(way.path for way in (*ways, *within)), *corners])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     target = (float(middle[0]), float(middle[1]), float(middle[2]))
-    painter = Painter(Camera(target, _AZIMUTH, _ELEVATION, _DISTANCE))
+    painter = Painter(Camera(target, azimuth, _ELEVATION, _DISTANCE))
     _paint_table(painter, points)
     for body in bodies:
         outline = _outline(body)
         painter.flat(np.column_stack([outline, np.zeros(len(outline))]), _SHADOW)
-    painter.flat_line(_on_table(paths[plan.chosen]), "#b8b2a6", 2.0)
+    for way in ways:
+        if way.rimmed:
+            painter.flat_line(_on_table(way.path), "#b8b2a6", 2.0)
     for body in scene.obstacles:
         painter.body(body, _OBSTACLE)
     for body in bin_parts:
         painter.body(body, _BIN, alpha=0.3)
     painter.line(arm, "white", 10.0, nearer=-_HALO)
     painter.line(arm, _ARM, 8.0)
-    for path, free in zip(paths, plan.collision_free, strict=True):
-        painter.line(path, _FREE if free else _COLLIDING, 0.9)
-    for path in demonstrations:
-        painter.line(path, _DEMONSTRATION, 1.2, dashed=True)
-    painter.line(paths[plan.chosen], "white", 5.5, nearer=_FOREGROUND - _HALO)
-    painter.line(paths[plan.chosen], _CHOSEN, 3.5, nearer=_FOREGROUND)
+    for way in ways:
+        if way.rimmed:
+            painter.line(way.path, "white", way.width + 2.0, nearer=_FOREGROUND - _HALO)
+            painter.line(way.path, way.color, way.width, nearer=_FOREGROUND)
+        else:
+            painter.line(way.path, way.color, way.width, dashed=way.dashed)
     painter.paint(axes)
+
+
+def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
+    plan = rollout.plan
+    paths = object_paths(plan.trajectories, carried_point(rollout.scene))
+    ways = [
+        Way(path, _FREE if free else _COLLIDING)
+        for path, free in zip(paths, plan.collision_free, strict=True)
+    ]
+    ways += [Way(path, _DEMONSTRATION, 1.2, dashed=True) for path in demonstrations]
+    paint_scene(axes, rollout.scene, [*ways, Way(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True)])
 
 
 def _draw_from_above(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
@@ -137,7 +192,7 @@ def _draw_from_above(axes: Any, rollout: Rollout, demonstrations: FloatArray) ->
     for bodies, color, alpha in ((bin_parts, _BIN, 0.4), (scene.obstacles, _OBSTACLE, 0.8)):
         for body in bodies:
             axes.add_patch(Polygon(_outline(body), facecolor=color, alpha=alpha, edgecolor="none"))
-    paths = object_paths(plan.trajectories, _carried(scene))[..., :2]
+    paths = object_paths(plan.trajectories, carried_point(scene))[..., :2]
     free = plan.collision_free
     for chosen, color, width, alpha in (
         (paths[~free], _COLLIDING, 0.8, 0.8),
@@ -190,7 +245,7 @@ def scene_figure(rollout: Rollout, path: Path) -> None:
     """
     row = rollout.row
     shipped = Demonstrations.load(row.task).configurations
-    demonstrations = object_paths(shipped, _carried(rollout.scene))
+    demonstrations = object_paths(shipped, carried_point(rollout.scene))
     figure = Figure(figsize=(12.0, 6.4), dpi=160, facecolor="white")
     FigureCanvasAgg(figure)
     _draw_space(figure.add_axes((0.01, 0.01, 0.68, 0.87)), rollout, demonstrations)

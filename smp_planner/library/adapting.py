@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -125,11 +126,19 @@ def adapted(
             if way is not None:
                 own = np.random.default_rng([seed, 3, index, number])
                 with stopwatch.stage("inference"):
-                    latent = way.adapt(primitive, latent, target, own)
+                    good = partial(_good, primitive, target)
+                    latent = way.adapt(primitive, latent, target, own, good)
             weights.append(primitive.unwhiten(latent))
             distances.append(0.5 * latent.square().sum(-1))
             components += [index] * branch.count
     return Particles(torch.cat(weights), torch.cat(distances).numpy(), np.array(components))
+
+
+def _good(primitive: ProMP, target: SceneTarget, latent: Tensor) -> BoolArray:
+    """Return which of particles (P, r), whitened, are good as they are, (P,)."""
+    count = len(latent)
+    as_they_are = Particles(primitive.unwhiten(latent), np.zeros(count), np.zeros(count, np.int64))
+    return judged(as_they_are, primitive, target).good
 
 
 def judged(particles: Particles, primitive: ProMP, target: SceneTarget) -> Judged:

@@ -72,7 +72,7 @@ class AdaptSettings(BaseModel):
     map_steps: int = Field(default=2000, ge=1)
     planning_steps: int = Field(default=50, ge=10)
     samples: int = Field(default=200, ge=2)
-    obstacle_weight: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
+    obstacle_weight: float = Field(default=20.0, gt=0.0, allow_inf_nan=False)
     margin: float = Field(default=0.01, ge=0.0, allow_inf_nan=False)
     edge_width: tuple[float, float] = (0.05, 0.01)
     sigma: float = Field(default=0.005, gt=0.0, allow_inf_nan=False)

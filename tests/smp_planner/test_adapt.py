@@ -280,6 +280,19 @@ def test_a_learned_map_leads_round_the_obstacles(primitive):
     assert plan.timings["map"] > 0.0
 
 
+def test_inference_stops_early_where_particles_are_good_and_only_there(primitive):
+    runs = [Stein(iterations=200, early_stop=early_stop) for early_stop in (False, True)]
+    easy, hopeless = [Circle((60.0, 60.0), 4.0)], [Rectangle((100.0, 0.0), (5.0, 5000.0))]
+    whole, short = (primitive.adapt(easy, **ENDS, method=run, particles=10) for run in runs)
+    assert whole.good.all()
+    assert short.good.all()
+    assert np.abs(whole.trajectories - short.trajectories).max() > 0.0
+    whole, short = (
+        primitive.adapt(hopeless, **ENDS, method=run, particles=4, settings=UNSEEN) for run in runs
+    )
+    np.testing.assert_array_equal(whole.trajectories, short.trajectories)
+
+
 def test_a_hopeless_scene_is_said_to_be_one(primitive):
     wall = Rectangle((100.0, 0.0), (5.0, 5000.0))
     plan = primitive.adapt([wall], **ENDS, method=SHORT, particles=5)

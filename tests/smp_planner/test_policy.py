@@ -218,3 +218,18 @@ def test_an_environment_that_takes_other_actions_is_refused(policy, env):
     mixed = {key: np.stack([first(env, 0)[key], observation[key]]) for key in observation}
     with pytest.raises(ValueError, match="'end_effector'"):
         policy.predict(mixed)
+
+
+def test_the_problem_and_the_track_are_those_that_are_acted_on():
+    policy = PlannerPolicy.make("promp", "Placement")
+    env = gym.make("smp_gym/Placement-v0")
+    observation, _ = env.reset(seed=3)
+    env.close()
+    action, (execution,) = policy.predict(observation, deterministic=True)
+    (plan,) = policy.planner.plan([policy.problem(observation)])
+    np.testing.assert_array_equal(plan.trajectories, execution.plan.trajectories)
+    reference = np.asarray(observation["observation"][6:12], np.float64)
+    np.testing.assert_array_equal(policy.track(plan, plan.chosen).action(0, reference), action)
+    batch = {key: value[None] for key, value in observation.items()}
+    with pytest.raises(ValueError, match="batch of 1"):
+        policy.problem(batch)

@@ -1,0 +1,60 @@
+"""Draw Figures 3 to 6 of the paper: particles, two modes executed, and new starts and ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.particle_figures import (
+    draw_before_and_after,
+    draw_two_modes,
+    draw_two_sides,
+    find_two_modes,
+)
+from smp_planner.benchmark.table_two.scenes import load_scenes
+
+_FIGURES = ("particles", "sides", "modes")
+_TWO_MODES = ("Placement", "PushLiftBox")
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder of the files.")] = Path("results/figures"),
+    figures: Annotated[
+        str,
+        typer.Option(help="Of particles (Fig. 3), sides (4) and modes (5, 6). Default: all."),
+    ] = "",
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Tuning scenes in which two modes are sought.")
+    ] = 40,
+) -> None:
+    """Draw figures, and film what is executed."""
+    console = Console()
+    out.mkdir(parents=True, exist_ok=True)
+    chosen = chosen_names(figures, _FIGURES, "--figures")
+    if "particles" in chosen:
+        draw_before_and_after(tuple(load_scenes().values()), out / "particles.png")
+        console.print(f"wrote {out / 'particles.png'}")
+    if "sides" in chosen:
+        names = [out / f"sides_{side}.mp4" for side in ("left", "right")]
+        left, right = draw_two_sides(out / "sides.png", (names[0], names[1]))
+        console.print(f"wrote {out / 'sides.png'}: left {_said(left)}, right {_said(right)}")
+    for task in _TWO_MODES if "modes" in chosen else ():
+        pair = find_two_modes(task, range(seeds))
+        names = [out / f"modes_{task}_{way}.mp4" for way in ("over", "beside")]
+        over, beside = draw_two_modes(pair, out / f"modes_{task}.png", (names[0], names[1]))
+        console.print(
+            f"wrote {out / f'modes_{task}.png'}: seed {pair.scene.seed}, the ways "
+            f"{pair.distance:.3f} m apart; over {_said(over)}, beside {_said(beside)}"
+        )
+
+
+def _said(success: bool) -> str:
+    return "executed with success" if success else "failed"
+
+
+if __name__ == "__main__":
+    typer.run(main)
