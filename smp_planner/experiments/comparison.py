@@ -20,6 +20,7 @@ __all__ = [
     "NOISE_FLOOR",
     "REFERENCE_SIZE",
     "adapted",
+    "common_ends",
     "measure",
     "noise_floor_row",
     "reference_of",
@@ -95,7 +96,7 @@ def measure(
         reference: of `reference_of`.
     """
     free = paths[clearances(paths, scene.obstacles) > 0.0]
-    ways = group(classes(free, scene.obstacles, _ends(primitive))) if len(free) else None
+    ways = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
     return {
         "free": float(len(free)),
         "classes": float(ways.count) if ways else 0.0,
@@ -119,7 +120,7 @@ def _drawn(primitive: SMP, count: int, seed: int) -> FloatArray:
     return primitive.adapt(particles=count, seed=seed, method=None).trajectories
 
 
-def _ends(primitive: SMP) -> FloatArray:
+def common_ends(primitive: SMP) -> FloatArray:
     """Return the mean start and end (2, 2) of the demonstrations."""
     ends = [[demo[0], demo[-1]] for demo in primitive.demonstrations]
     return np.asarray(np.mean(ends, axis=0))

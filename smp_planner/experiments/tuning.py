@@ -36,12 +36,12 @@ COLUMNS = (
 )
 """Of the printed table of `tuning_row`s."""
 
-_WIDE, _USUAL = (0.2, 0.1), (0.05, 0.01)
+_EDGES = ((0.05, 0.01), (0.1, 0.01))
 
 CANDIDATES: Mapping[str, tuple[Method, ...]] = {
     "smp": tuple(
         Method(Stein(iterations=iterations), settings(weight, margin))
-        for weight, margin, iterations in product((1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
+        for weight, margin, iterations in product((0.3, 1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
     ),
     "promp_diff": tuple(
         Method(
@@ -49,7 +49,7 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
             settings(margin=margin, edge_width=edge_width),
         )
         for margin, edge_width, iterations, fit_std in product(
-            (0.02, 0.06, 0.12, 0.18), (_USUAL, _WIDE), (300, 1000), (0.005, 0.02)
+            (0.02, 0.06, 0.12, 0.18), _EDGES, (300, 1000), (0.0025, 0.005, 0.02)
         )
     ),
     "cpromp": tuple(
