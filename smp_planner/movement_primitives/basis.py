@@ -109,7 +109,7 @@ class GaussianBasis:
             (min(T, K), K).
         """
         values = self.values(phases(samples))
-        return torch.linalg.qr(values / math.sqrt(samples)).R
+        return torch.linalg.qr(values / math.sqrt(samples)).R.contiguous()
 
     def _values_and_slopes(self, phase: Tensor) -> tuple[Tensor, Tensor]:
         """Return the normalised bumps and the derivatives of the logarithms of the plain bumps."""

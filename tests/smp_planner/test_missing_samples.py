@@ -71,7 +71,7 @@ def test_log_likelihood_is_that_of_what_is_there():
 
 def test_em_never_lowers_its_objective_and_ends_where_the_dense_likelihood_is_stationary():
     demonstrations = _with_gaps(_demonstrations(6, 25))
-    settings = EMSettings(tolerance=1e-8, max_iterations=400, prior_std=0.1)
+    settings = EMSettings(tolerance=1e-8, max_iterations=200, prior_std=0.1)
     learned = expectation_maximization(demonstrations, BASIS, settings)
     assert float(torch.tensor(learned.objective).diff().min()) > -1e-7
     mean, covariance, noise = (t.clone().requires_grad_() for t in learned[:3])

@@ -9,6 +9,7 @@ from smp_gym.kinematics import UnreachableError, box_spheres, concatenate, end_e
 from smp_gym.kinematics import finger_spheres as fingers
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
+from smp_planner.inference import SETTINGS
 from smp_planner.planners import PLANNERS, make_planner
 from smp_planner.planners.likelihood import Likelihood, LikelihoodSettings
 from smp_planner.problem import GoalRegion, Planner, Problem
@@ -111,12 +112,17 @@ def test_adaptation_is_what_frees_the_particles(smp, scene, plan):
     assert (plan.costs["obstacles"] < 1.0).mean() > 0.8
 
 
-@pytest.mark.parametrize("inference", ["paper", "no_repulsion"])
+@pytest.mark.parametrize("inference", [name for name in SETTINGS if name != "default"])
 def test_the_other_settings_plan_too(inference, scene):
     planner = make_planner("smp", "Placement", settings={"inference": inference})
     plan = planner.plan([problem_of(scene)])[0]
     np.testing.assert_allclose(plan.trajectories[:, 0], np.tile(scene.start, (42, 1)), atol=1e-9)
     assert plan.collision_free.any()
+
+
+def test_an_inference_that_is_none_is_an_error_that_names_those_that_are():
+    with pytest.raises(ValueError, match=r"one of default, paper, .*, cyclic; got 'fast'"):
+        make_planner("smp", "Placement", settings={"inference": "fast"})
 
 
 def test_the_map_trained_from_the_scene_s_points_plans_too(scene):

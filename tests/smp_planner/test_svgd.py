@@ -18,7 +18,7 @@ from smp_planner.inference import (
     stein_direction,
     step,
 )
-from smp_planner.inference.annealing import tanh_annealing
+from smp_planner.inference.annealing import cyclic_annealing, tanh_annealing
 from smp_planner.inference.kernels import KernelTerms
 from smp_planner.inference.optimizers import GradientAscent
 from smp_planner.movement_primitives import GaussianBasis, ProMP, smooth_covariance
@@ -264,6 +264,8 @@ def test_a_step_changes_nothing_that_it_was_given():
 def test_each_named_setting_improves_on_its_start(name):
     target = _gaussian(6)
     settings = named_settings(name)
+    if settings.needs_metric:
+        settings = settings.with_metric(0.5 * torch.eye(6, dtype=torch.float64))
     start = 3.0 + _normal(42, 6)
     particles = _run(target, start, settings)
     distance = (particles.mean(0) - target.mean).norm()
@@ -276,11 +278,49 @@ def test_single_precision_stays_single_precision():
     assert step(init(score, settings), score, score, settings).particles.dtype == torch.float32
 
 
+def test_the_named_settings_change_one_thing_each():
+    default = named_settings("default")
+    changes = {
+        "no_repulsion": {"repulsion"},
+        "raw": {"whiten"},
+        "median_over_log": {"kernel"},
+        "imq": {"kernel"},
+        "path_kernel": {"kernel"},
+        "no_annealing": {"annealing"},
+        "cyclic": {"schedule"},
+    }
+    assert set(SETTINGS) == {"default", "paper", *changes}
+    for name, changed in changes.items():
+        other = named_settings(name)
+        assert {k for k, v in vars(other).items() if v != vars(default)[k]} == changed
+
+
+def test_the_schedule_scales_the_annealed_part():
+    particles, score = _normal(5, 3), _normal(5, 3, seed=1)
+    settings = replace(PLAIN, annealing=0.8, schedule=cyclic_annealing, iterations=10)
+    gram, repulsion = RBF(median_bandwidth)(particles)
+    for iteration in range(10):
+        factor = cyclic_annealing(iteration, 10, 0.8)
+        expected = particles + settings.step_size * (factor * gram @ score + repulsion) / 5
+        state = State(particles, None, iteration)
+        moved = step(state, score, torch.zeros_like(score), settings).particles
+        torch.testing.assert_close(moved, expected)
+
+
 # Bad input
 
 
+def test_a_metric_is_for_a_metric_kernel():
+    with pytest.raises(ValueError, match="kernel must be a MetricKernel to be given a metric"):
+        named_settings("default").with_metric(torch.eye(3))
+    unknown = named_settings("path_kernel")
+    score = _normal(5, 2)
+    with pytest.raises(ValueError, match="root of a MetricKernel must be given"):
+        step(init(score, unknown), score, score, unknown)
+
+
 def test_an_unknown_setting_lists_those_that_exist():
-    with pytest.raises(ValueError, match="one of default, paper, no_repulsion; got 'fast'"):
+    with pytest.raises(ValueError, match=r"one of default, paper, no_repulsion, .*; got 'fast'"):
         named_settings("fast")
 
 
