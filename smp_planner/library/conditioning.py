@@ -6,23 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-
-from smp_planner.library.modulation import Place, Site
+from smp_planner.library.site import Site
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 
 __all__ = ["Branch", "branches"]
-
-FloatArray = NDArray[np.float64]
-
-TOLERANCE_STDS = 3.0
-"""Standard deviations of the conditioned primitive that a via-point's tolerance is."""
-
-_CERTAIN = 1e-6
-"""Extents, standard deviation that evidence is computed with where a primitive has none."""
 
 
 @dataclass(frozen=True)
@@ -43,22 +31,22 @@ def branches(primitive: ProMP, sites: Sequence[Site], particles: int) -> list[Br
 
     The posterior of a Gaussian and a mixture of places is a mixture: one branch for each choice,
     its share π_h times the density of the place under the primitive. Branches that would get no
-    particle are left out. Sites with boxes are passed over.
+    particle are left out.
 
     Args:
         primitive: the prior, in normalised coordinates.
-        sites: ascending in phase.
+        sites: ascending in phase; those that are costs only are passed over.
         particles: to be shared out.
     """
     found = [(primitive, 0.0)]
     for site in sites:
-        if not site.is_exact:
-            continue
         grown = [
-            (_conditioned(tied, site.phase, place), weight + _log_evidence(tied, site.phase, place))
+            (conditioned, weight + evidence)
             for tied, weight in found
-            for place in site.places
+            for conditioned, evidence in site.condition(tied)
         ]
+        if not grown:
+            continue
         best = max(weight for _, weight in grown)
         found = [
             (tied, weight - best)
@@ -69,21 +57,3 @@ def branches(primitive: ProMP, sites: Sequence[Site], particles: int) -> list[Br
     return [
         Branch(tied, count) for (tied, _), count in zip(found, counts, strict=True) if count > 0
     ]
-
-
-def _noise(primitive: ProMP, place: Place) -> torch.Tensor:
-    std = place.tolerance / TOLERANCE_STDS
-    return torch.full((primitive.dimension,), std**2, dtype=primitive.mean.dtype)
-
-
-def _conditioned(primitive: ProMP, phase: float, place: Place) -> ProMP:
-    assert place.point is not None
-    return primitive.condition(phase, torch.from_numpy(place.point), _noise(primitive, place))
-
-
-def _log_evidence(primitive: ProMP, phase: float, place: Place) -> float:
-    assert place.point is not None
-    mean, covariance = primitive.marginal(phase)
-    noise = _noise(primitive, place) + _CERTAIN**2
-    density = torch.distributions.MultivariateNormal(mean, covariance + torch.diag(noise))
-    return math.log(place.share) + float(density.log_prob(torch.from_numpy(place.point)))

@@ -1,4 +1,4 @@
-"""What a path shall pass: via-points, boxes, and choices among them, Eq. (13) and (14)."""
+"""How one says what a path shall pass: via-points, boxes, and choices among them."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
-from smp_planner.movement_primitives.box_prior import SmoothBox
+from smp_planner.problem import GoalRegion
 
-__all__ = ["AnyOf", "Box", "Place", "Site", "ViaPoint", "site_cost"]
+__all__ = ["AnyOf", "Box", "ViaPoint"]
 
 FloatArray = NDArray[np.float64]
-
-TOLERANCE_SHARE = 0.8
-"""Share of a via-point's tolerance that the box around it takes up, corners included."""
 
 
 def _vector(name: str, value: ArrayLike) -> FloatArray:
@@ -58,11 +54,12 @@ class AnyOf:
     """Several places of which any will do: a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
 
     Attributes:
-        options: points (D,) or `Box`es for start and goal; `ViaPoint`s of one phase for via-points.
+        options: points (D,) or `Box`es for start and goal; `ViaPoint`s of one phase for via-points;
+            `GoalRegion`s for the goal of a robot's tool.
         shares: π_h, positive; equal by default.
     """
 
-    options: Sequence[ArrayLike | Box | ViaPoint]
+    options: Sequence[ArrayLike | Box | ViaPoint | GoalRegion]
     shares: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
@@ -98,75 +95,3 @@ class ViaPoint:
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0.0):
             raise ValueError(f"ViaPoint.tolerance must not be negative, got {self.tolerance}")
         object.__setattr__(self, "position", _vector("ViaPoint.position", self.position))
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """One option of a `Site`, in normalised coordinates.
-
-    Attributes:
-        box: where the cost is zero, and its tails.
-        point: (D,) that a primitive can be conditioned on; None for a box.
-        tolerance: distance from the point that may remain.
-        share: π_h.
-    """
-
-    box: SmoothBox
-    point: FloatArray | None
-    tolerance: float
-    share: float
-
-    def missed(self, points: FloatArray) -> FloatArray:
-        """Return by how much (...) points (..., D) miss the place; 0 if they do not."""
-        if self.point is None:
-            outside = self.box.distance(torch.from_numpy(np.ascontiguousarray(points))).numpy()
-            return np.asarray(np.linalg.norm(outside, axis=-1))
-        distance = np.linalg.norm(points - self.point, axis=-1)
-        return np.asarray(np.maximum(distance - self.tolerance, 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class Site:
-    """What a path shall be near to at one phase.
-
-    Attributes:
-        name: what the user calls it, for errors.
-        phase: in [0, 1].
-        places: at least one; any of them will do.
-    """
-
-    name: str
-    phase: float
-    places: tuple[Place, ...]
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether a primitive can be conditioned on it: all its places are points."""
-        return all(place.point is not None for place in self.places)
-
-    def missed(self, points: FloatArray) -> FloatArray:
-        """Return by how much (...) points (..., D) miss the nearest place."""
-        return np.asarray(np.min([place.missed(points) for place in self.places], axis=0))
-
-
-def site_cost(site: Site, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return C_mod (P,) of points (P, D) at a site, and its gradient (P, D).
-
-    Of one place it is d² / (2 σ²), Eq. (14); of several, -log Σ π_h exp(-d_h² / (2 σ_h²)) / Z_h,
-    with the normalising constants Z_h relative to the least of them, so that it is log(H) or less
-    inside a place of equal shares.
-    """
-    at = torch.from_numpy(np.ascontiguousarray(points))
-    boxes = [place.box for place in site.places]
-    outside = torch.stack([box.distance(at) for box in boxes])
-    variance = torch.stack([box.variance for box in boxes])
-    spread = torch.stack(
-        [(box.upper - box.lower + (2.0 * math.pi * box.variance).sqrt()).log() for box in boxes]
-    ).sum(-1)
-    shares = torch.tensor([place.share for place in site.places], dtype=at.dtype)
-    logits = -0.5 * (outside.square() / variance[:, None]).sum(-1)
-    logits = logits + (shares.log() - (spread - spread.min()))[:, None]
-    membership = torch.softmax(logits, dim=0)
-    slopes = outside / variance[:, None]
-    gradient = (membership[..., None] * slopes).sum(0)
-    return -torch.logsumexp(logits, dim=0).numpy(), gradient.numpy()

@@ -37,7 +37,7 @@ class Mover(Protocol):
     ) -> ValueAndGradient:
         """Return the collision cost (P,) of Eq. (12) of paths (P, T, D), and its gradient.
 
-        It is the mean over the body's spheres of sums scaled to `costs.REFERENCE_STEPS` steps.
+        Sums are scaled to `costs.REFERENCE_STEPS` steps.
         """
         ...
 

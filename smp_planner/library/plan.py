@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from smp_gym.scene import Obstacle
-from smp_planner.library.shapes import PathObstacle
+from smp_planner.library.drawing import draw
+from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
 from smp_planner.modes import Modes, group, signatures_2d, signatures_3d
 
 __all__ = ["PathPlan"]
@@ -76,6 +78,15 @@ class PathPlan:
         """Seconds of all stages together."""
         return float(sum(self.timings.values()))
 
+    @property
+    def planar_obstacles(self) -> tuple[Circle | Rectangle, ...]:
+        """The obstacles in the plane."""
+        return tuple(o for o in self.obstacles if not isinstance(o, Obstacle))
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw paths in the plane; see `smp_planner.library.drawing.draw`."""
+        return draw(self, axes)
+
     @cached_property
     def signatures(self) -> NDArray[np.int64]:
         """(P, ...) how each path goes round the obstacles; see `smp_planner.modes`.
@@ -87,8 +98,8 @@ class PathPlan:
         """
         paths = self.trajectories if self.tool_paths is None else self.tool_paths
         if paths.shape[-1] == 2:
-            planar = [o.center for o in self.obstacles if not isinstance(o, Obstacle)]
-            return signatures_2d(paths, np.array(planar).reshape(-1, 2))
+            centers = np.array([o.center for o in self.planar_obstacles]).reshape(-1, 2)
+            return signatures_2d(paths, centers)
         if paths.shape[-1] != 3:
             raise ValueError(f"signatures need paths in the plane or in space, got {paths.shape}")
         solid = [o for o in self.obstacles if isinstance(o, Obstacle)]

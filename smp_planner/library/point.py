@@ -18,7 +18,7 @@ from smp_planner.occupancy.analytic import (
     signed_distance_and_gradient,
 )
 
-__all__ = ["TOLERANCE", "Ball", "DistanceMap", "exact_map", "path_clearance"]
+__all__ = ["TOLERANCE", "Ball", "DistanceMap", "exact_map", "in_space", "path_clearance"]
 
 FloatArray = NDArray[np.float64]
 DistanceMap = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -98,7 +98,7 @@ class Ball:
         """Return the squared occupancy of the ball, summed along the path; see `Mover`."""
         if self.distance is None:
             return np.zeros(len(trajectories)), np.zeros(trajectories.shape)
-        distance, away = self.distance(_in_space(trajectories).reshape(-1, 3))
+        distance, away = self.distance(in_space(trajectories).reshape(-1, 3))
         occupancy = expit((self.radius + margin - distance) / edge_width)
         occupancy = occupancy.reshape(trajectories.shape[:2])
         away = away.reshape(*trajectories.shape[:2], 3)[..., : trajectories.shape[2]]
@@ -115,13 +115,13 @@ class Ball:
         count = len(trajectories)
         clearance = np.full(count, np.inf)
         if self.obstacles:
-            clearance = path_clearance(_in_space(trajectories), self.obstacles) - self.radius
+            clearance = path_clearance(in_space(trajectories), self.obstacles) - self.radius
         return Check(
             clearance, clearance >= TOLERANCE, np.ones(count, np.bool_), np.full(count, np.nan)
         )
 
 
-def _in_space(trajectories: FloatArray) -> FloatArray:
+def in_space(trajectories: FloatArray) -> FloatArray:
     """Return paths (P, T, 3) of (P, T, 2 or 3); those in the plane lie at z = 0."""
     missing = 3 - trajectories.shape[-1]
     return np.ascontiguousarray(np.pad(trajectories, ((0, 0), (0, 0), (0, missing))))

@@ -1,4 +1,4 @@
-"""What the user asks of a path, checked and turned into `Site`s in normalised coordinates."""
+"""What the user asks of a path, checked and turned into sites in normalised coordinates."""
 
 from __future__ import annotations
 
@@ -11,14 +11,23 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from smp_planner.library.modulation import TOLERANCE_SHARE, AnyOf, Box, Place, Site, ViaPoint
+from smp_planner.library.modulation import AnyOf, Box, ViaPoint
+from smp_planner.library.site import Place, PlaceSite, Site, ToolSite
 from smp_planner.movement_primitives.box_prior import SmoothBox
+from smp_planner.problem import GoalRegion
+from smp_planner.robot_model import RobotModel
 
-__all__ = ["Frame", "sites_of"]
+__all__ = ["Frame", "Wanted", "sites_of"]
 
 FloatArray = NDArray[np.float64]
+Wanted = ArrayLike | Box | GoalRegion | AnyOf
+"""Where a path may be asked to start or end."""
 
-_SAME_PHASE = 1e-9
+TOLERANCE_SHARE = 0.8
+"""Share of a via-point's tolerance that the box around it takes up, corners included."""
+
+_SAME = 1e-9
+"""Difference of phases, and extents, up to which two are the same."""
 
 
 class Frame:
@@ -48,10 +57,11 @@ class Frame:
 
 def sites_of(
     frame: Frame,
-    start: ArrayLike | Box | AnyOf | None,
+    start: Wanted | None,
     via_points: Sequence[ViaPoint | AnyOf],
-    goal: ArrayLike | Box | AnyOf | None,
+    goal: Wanted | None,
     sigma: float,
+    robot: RobotModel | None,
 ) -> tuple[Site, ...]:
     """Return what a path shall be near to, ascending in phase.
 
@@ -60,37 +70,36 @@ def sites_of(
         start: where it shall begin; None leaves that to the demonstrations.
         via_points: what it shall pass.
         goal: where it shall end; None leaves that to the demonstrations.
-        sigma: of tails where none is given, in extents.
+        sigma: of tails where none is given, in extents; m for the regions of a tool.
+        robot: that moves; None for a ball.
 
     Raises:
-        ValueError: a place of another dimension than the path, options of a via-point at different
-            phases, or two sites of one phase that cannot both be met.
+        ValueError: a place of another dimension than the path or not finite, options of a
+            via-point at different phases, a region for the tool of no robot, or two sites of one
+            phase that cannot both be met.
     """
-    sites = []
-    for name, phase, wanted in (("start", 0.0, start), ("goal", 1.0, goal)):
-        if wanted is None:
-            continue
-        options, shares = _options(wanted)
-        places = [
-            _place(name, frame, option, share, sigma)
-            for option, share in zip(options, shares, strict=True)
-        ]
-        sites.append(Site(name, phase, tuple(places)))
+    sites: list[Site] = []
+    if start is not None:
+        sites.append(_place_site("start", 0.0, frame, start, sigma))
+    if goal is not None:
+        options, shares = _options(goal)
+        if any(isinstance(option, GoalRegion) for option in options):
+            sites.append(_tool_site(options, shares, robot, sigma))
+        else:
+            sites.append(_place_site("goal", 1.0, frame, goal, sigma))
     for index, via in enumerate(via_points):
         name = f"via_points[{index}]"
-        options, shares = _options(via)
-        phases = set()
-        places = []
-        for option, share in zip(options, shares, strict=True):
+        options, _ = _options(via)
+        for option in options:
             if not isinstance(option, ViaPoint):
                 raise ValueError(f"{name} must be a ViaPoint or AnyOf of such, got {option!r}")
-            phases.add(option.phase)
-            places.append(_place(name, frame, option, share, sigma))
+        phases = sorted({option.phase for option in options})
         if len(phases) > 1:
-            raise ValueError(f"{name} must be options of one phase, got {sorted(phases)}")
-        sites.append(Site(name, phases.pop(), tuple(places)))
+            raise ValueError(f"{name} must be options of one phase, got {phases}")
+        sites.append(_place_site(name, phases[0], frame, via, sigma))
     for first, second in combinations(sites, 2):
-        _refuse_contradiction(frame, first, second)
+        if isinstance(first, PlaceSite) and isinstance(second, PlaceSite):
+            _refuse_contradiction(frame, first, second)
     return tuple(sorted(sites, key=lambda site: site.phase))
 
 
@@ -101,26 +110,43 @@ def _options(wanted: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
     return (wanted,), (1.0,)
 
 
+def _tool_site(
+    options: tuple[Any, ...], shares: tuple[float, ...], robot: RobotModel | None, sigma: float
+) -> ToolSite:
+    if robot is None:
+        raise ValueError("goal is a region for a tool, but the primitive has no robot")
+    if not all(isinstance(option, GoalRegion) for option in options):
+        raise ValueError(f"goal must be regions for the tool or places of the path, got {options}")
+    return ToolSite(options, shares, robot, sigma)
+
+
+def _place_site(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> PlaceSite:
+    places = [
+        _place(name, frame, option, share, sigma)
+        for option, share in zip(*_options(wanted), strict=True)
+    ]
+    return PlaceSite(name, phase, tuple(places))
+
+
 def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> Place:
-    paper_scale, tolerance = False, 0.0
+    paper_scale, tolerance, point = False, 0.0, None
     if isinstance(wanted, Box):
         if wanted.sigma is not None:
             sigma = wanted.sigma / frame.scale
         paper_scale = wanted.paper_scale
-        lower, upper, point = wanted.lower, wanted.upper, None
+        lower, upper = wanted.lower, wanted.upper
     else:
         if isinstance(wanted, ViaPoint):
             tolerance = wanted.tolerance / frame.scale
             wanted = wanted.position
-        point = np.asarray(wanted, np.float64)
-        if not np.isfinite(point).all():
-            raise ValueError(f"{name} must be finite, got {wanted!r}")
-        lower = upper = point
+        point = lower = upper = np.asarray(wanted, np.float64)
     if lower.shape != (frame.dimension,):
         raise ValueError(
-            f"{name} must have {frame.dimension} coordinates, as the demonstrations have, got "
-            f"{np.shape(lower)}"
+            f"{name} must have the {frame.dimension} coordinates that the demonstrations have, "
+            f"got shape {np.shape(lower)}"
         )
+    if not np.isfinite(lower).all():
+        raise ValueError(f"{name} must be finite, got {lower}")
     half = TOLERANCE_SHARE * tolerance / math.sqrt(frame.dimension)
     box = SmoothBox(
         torch.from_numpy(frame.inwards(lower) - half),
@@ -131,22 +157,17 @@ def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> 
     return Place(box, None if point is None else frame.inwards(point), tolerance, share)
 
 
-def _refuse_contradiction(frame: Frame, first: Site, second: Site) -> None:
-    if abs(first.phase - second.phase) > _SAME_PHASE:
-        return
-    if not (first.is_exact and second.is_exact):
+def _refuse_contradiction(frame: Frame, first: PlaceSite, second: PlaceSite) -> None:
+    if abs(first.phase - second.phase) > _SAME:
         return
     for a in first.places:
         for b in second.places:
-            assert a.point is not None
-            assert b.point is not None
-            between = float(np.linalg.norm(a.point - b.point))
-            if between <= a.tolerance + b.tolerance + _SAME_PHASE:
+            if a.point is None or b.point is None:
                 return
-    places = " and ".join(
-        str(frame.outwards(site.places[0].point).tolist())  # type: ignore[arg-type]
-        for site in (first, second)
-    )
+            if np.linalg.norm(a.point - b.point) <= a.tolerance + b.tolerance + _SAME:
+                return
+    points = [site.places[0].point for site in (first, second)]
+    places = " and ".join(str(frame.outwards(p).tolist()) for p in points if p is not None)
     raise ValueError(
         f"{first.name} and {second.name} contradict each other at phase {first.phase}: no path "
         f"passes {places} at once; for a choice of places use AnyOf"

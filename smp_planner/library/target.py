@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.library.modulation import Site, site_cost
 from smp_planner.library.mover import Mover, ValueAndGradient
 from smp_planner.library.settings import AdaptSettings
+from smp_planner.library.site import Site
 
 __all__ = ["SceneTarget", "at_phase"]
 
@@ -77,7 +77,7 @@ class SceneTarget:
     def _terms(self, trajectories: FloatArray) -> dict[str, tuple[float, ValueAndGradient]]:
         terms = self.mover.limits(trajectories)
         for site in self.sites:
-            value, slope = site_cost(site, at_phase(trajectories, site.phase))
+            value, slope = site.cost(at_phase(trajectories, site.phase))
             first, share = _segment(trajectories.shape[1], site.phase)
             gradient = np.zeros(trajectories.shape)
             gradient[:, first] = (1.0 - share) * slope

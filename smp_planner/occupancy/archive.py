@@ -1,4 +1,4 @@
-"""Networks as files: `.npz` archives of plain arrays with a header, which run no code when read."""
+"""Files of our own: `.npz` archives of plain arrays with a header, which run no code when read."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def read_archive(content: bytes, source: str, header: Mapping[str, Any]) -> dict
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise ValueError(f"{source} is damaged or no archive of networks: {error!r}") from error
+        raise ValueError(f"{source} is damaged or of another kind: {error!r}") from error
     if found != dict(header):
         raise ValueError(f"{source} must have the header {dict(header)}, got {found}")
     return arrays

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from smp_gym.kinematics import UnreachableError
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners.postures import pose_chain
-from smp_planner.problem import Problem, ViaPoint
+from smp_planner.problem import GoalRegion, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel
 
-__all__ = ["TiedPrimitive", "tie_primitive"]
+__all__ = ["TiedPrimitive", "tie_primitive", "tie_to_goals"]
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class TiedPrimitive:
 
     Attributes:
         primitive: its whitened coordinates are those in which planners work.
-        posture: (6,) rad, the final configuration that it was conditioned on.
+        posture: (n,) rad, the final configuration that it was conditioned on.
     """
 
     primitive: ProMP
@@ -71,20 +71,34 @@ def tie_primitive(
     tied = _through_poses(tied, problem)
     if through:
         tied = _through(tied, through, robot)
-    posture = _final_posture(tied, problem, robot)
+    return tie_to_goals(tied, problem.goals, robot)
+
+
+def tie_to_goals(primitive: ProMP, goals: Sequence[GoalRegion], robot: RobotModel) -> TiedPrimitive:
+    """Condition on the final posture that is likeliest of those that reach a goal.
+
+    Args:
+        primitive: of the joints.
+        goals: at least one region; the likeliest is taken.
+        robot: arm with all that it carries.
+
+    Raises:
+        UnreachableError: all goals are out of reach.
+    """
+    posture = _final_posture(primitive, goals, robot)
     goal = min(
-        problem.goals,
+        goals,
         key=lambda g: float(np.linalg.norm(robot.carried_points(posture, g.point)[0] - g.center)),
     )
     jacobian = robot.carried_points(posture, goal.point)[1] / GOAL_STD
     information = jacobian.T @ jacobian + np.eye(len(posture)) / POSTURE_STD**2
     covariance = torch.from_numpy(np.linalg.inv(information))
-    tied = tied.condition(1.0, torch.from_numpy(posture), (covariance + covariance.mT) / 2)
+    tied = primitive.condition(1.0, torch.from_numpy(posture), (covariance + covariance.mT) / 2)
     return TiedPrimitive(tied, posture)
 
 
-def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> FloatArray:
-    """Return the configuration (6,) that reaches a goal and is most likely under the primitive.
+def _final_posture(primitive: ProMP, goals: Sequence[GoalRegion], robot: RobotModel) -> FloatArray:
+    """Return the configuration (n,) that reaches a goal and is most likely under the primitive.
 
     Gauss-Newton on the negative log-posterior of the final configuration, given that the carried
     point is in the middle of the region up to `GOAL_STD`. Of several goals the likeliest is taken.
@@ -96,7 +110,7 @@ def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> Flo
     mean, precision = mean_tensor.numpy(), np.linalg.inv(covariance.numpy())
     best: tuple[float, FloatArray] | None = None
     nearest = np.inf
-    for goal in problem.goals:
+    for goal in goals:
         # Approaching the goal in steps keeps each linearisation close to the truth.
         posture = np.clip(mean, robot.lower, robot.upper)
         origin = robot.carried_points(posture, goal.point)[0]
@@ -116,7 +130,7 @@ def _final_posture(primitive: ProMP, problem: Problem, robot: RobotModel) -> Flo
         if error <= REACHED and (best is None or energy < best[0]):
             best = energy, posture
     if best is None:
-        regions = ", ".join(f"{np.round(goal.center, 3)}" for goal in problem.goals)
+        regions = ", ".join(f"{np.round(goal.center, 3)}" for goal in goals)
         raise UnreachableError(
             f"goal {regions} is out of reach: the arm stays {nearest:.3f} m away from it"
         )

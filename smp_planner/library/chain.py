@@ -1,0 +1,137 @@
+"""A robot of one's own among obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from smp_gym.scene import Obstacle
+from smp_planner.costs import (
+    CollisionCost,
+    Cost,
+    JointLimitCost,
+    SelfCollisionCost,
+    VelocityLimitCost,
+)
+from smp_planner.library.mover import Check, ValueAndGradient
+from smp_planner.library.settings import AdaptSettings
+from smp_planner.occupancy.analytic import PackedObstacles
+from smp_planner.occupancy.occupancy_map import TRUNCATION
+from smp_planner.robot_model import RobotModel
+from smp_planner.verification import verify
+
+__all__ = ["REFERENCE_SPHERES", "Arm", "reach", "robot_workspace", "with_collision_pairs"]
+
+FloatArray = NDArray[np.float64]
+Workspace = tuple[tuple[float, ...], tuple[float, ...]]
+
+REFERENCE_SPHERES = 32
+"""Spheres to which sums over a robot are scaled, however finely it is covered."""
+
+PAIR_GAP = 0.01
+"""m, least gap of two spheres in all demonstrations from which on they are kept apart."""
+
+_LOOKS = 50
+
+
+def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]) -> RobotModel:
+    """Return a robot that knows which of its spheres must stay clear of each other.
+
+    Those of links that are not neighbours, unless they come nearer than `PAIR_GAP` in a
+    demonstration: spheres reach beyond what they cover, and demonstrations are free.
+
+    Args:
+        model: whose `collision_pairs` are not looked at.
+        demonstrations: (T_j, n) rad.
+    """
+    looks = [d[np.linspace(0, len(d) - 1, _LOOKS).astype(int)] for d in demonstrations]
+    centers = model.sphere_centers(torch.from_numpy(np.concatenate(looks))).numpy()
+    link, radius = model.link, model.radius
+    pairs = []
+    for first in range(len(link)):
+        others = np.flatnonzero(link > link[first] + 1)
+        gap = np.linalg.norm(centers[:, others] - centers[:, first : first + 1], axis=-1).min(
+            axis=0
+        )
+        kept = others[gap - radius[others] - radius[first] > PAIR_GAP]
+        pairs.append(np.column_stack([np.full(len(kept), first), kept]))
+    empty = np.empty((0, 2), np.int64)
+    return replace(model, collision_pairs=np.concatenate([empty, *pairs]))
+
+
+def reach(model: RobotModel) -> float:
+    """Return how far, m, anything of a robot can be from its first joint."""
+    arms = np.linalg.norm(model.joint_origins[1:, :3, 3], axis=1).sum()
+    outer = np.linalg.norm(model.center, axis=1) + model.radius
+    return float(arms + outer.max(initial=0.0))
+
+
+def robot_workspace(model: RobotModel, obstacles: Sequence[Obstacle]) -> Workspace | None:
+    """Return the corners of the box where a robot can meet obstacles; None if there is no such."""
+    packed = PackedObstacles.of(obstacles)
+    if not len(packed):
+        return None
+    middle = (model.base @ model.joint_origins[0])[:3, 3]
+    around = packed.half_extents + TRUNCATION
+    lower = np.maximum((packed.position - around).min(axis=0), middle - reach(model))
+    upper = np.minimum((packed.position + around).max(axis=0), middle + reach(model))
+    if not (lower < upper).all():
+        return None
+    return tuple(lower.tolist()), tuple(upper.tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A robot whose configurations follow the path; a `Mover`.
+
+    Attributes:
+        model: the robot.
+        obstacles: m, in the frame of its root link.
+        collision_cost: of its spheres on the scene's map; None if it can meet no obstacle.
+        settings: weights of the limits' costs.
+    """
+
+    model: RobotModel
+    obstacles: tuple[Obstacle, ...]
+    collision_cost: CollisionCost | None
+    settings: AdaptSettings
+
+    @cached_property
+    def _limits(self) -> dict[str, tuple[float, Cost]]:
+        model, settings = self.model, self.settings
+        terms: dict[str, tuple[float, Cost]] = {
+            "self_collision": (settings.self_collision_weight, SelfCollisionCost(model)),
+            "velocity": (
+                settings.velocity_weight,
+                VelocityLimitCost(model.velocity, settings.duration_limit),
+            ),
+            "joint_limits": (
+                settings.limit_weight,
+                JointLimitCost(model.lower, model.upper, margin=0.02),
+            ),
+        }
+        return {name: term for name, term in terms.items() if term[0] > 0.0}
+
+    def collision(
+        self, trajectories: FloatArray, edge_width: float, margin: float
+    ) -> ValueAndGradient:
+        """Return the squared occupancy of the robot's spheres along the path; see `Mover`."""
+        if self.collision_cost is None or not self.collision_cost.summed_spheres:
+            return np.zeros(len(trajectories)), np.zeros(trajectories.shape)
+        value, gradient = self.collision_cost(trajectories, edge_width, margin)
+        scale = REFERENCE_SPHERES / self.collision_cost.summed_spheres
+        return scale * value, scale * gradient
+
+    def limits(self, trajectories: FloatArray) -> dict[str, tuple[float, ValueAndGradient]]:
+        """Return the costs of self-collision, velocities and joint limits; see `Mover`."""
+        return {name: (weight, cost(trajectories)) for name, (weight, cost) in self._limits.items()}
+
+    def check(self, trajectories: FloatArray) -> Check:
+        """Check whole paths on the exact obstacles; see `Mover`."""
+        found = verify(trajectories, self.model, self.obstacles, self.settings.duration_limit)
+        return Check(found.clearance, found.collision_free, found.executable, found.duration)

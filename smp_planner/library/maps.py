@@ -1,0 +1,52 @@
+"""The map of a scene: its obstacles themselves, or the paper's network, learned from points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from smp_gym.scene import Obstacle
+from smp_planner.occupancy.analytic import PackedObstacles
+from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
+from smp_planner.occupancy.neural import (
+    INFLATION,
+    PointNetworkMap,
+    sample_labelled_points,
+    train_map,
+)
+
+__all__ = ["Workspace", "exact_grid", "neural_grid"]
+
+Workspace = tuple[Sequence[float], Sequence[float]]
+
+
+def exact_grid(obstacles: Sequence[Obstacle], workspace: Workspace) -> DistanceGrid:
+    """Return the exact distance to obstacles over a workspace."""
+    return bake_analytic(obstacles, workspace)
+
+
+def neural_grid(
+    obstacles: Sequence[Obstacle], workspace: Workspace, points: int, seed: int
+) -> DistanceGrid | None:
+    """Return the distance to the surface that a network learned from labelled points, Eq. (12).
+
+    Args:
+        obstacles: in coordinates in which 1 is about the size of the scene: m, or extents.
+        workspace: lower and upper corner of the box that is learned.
+        points: how many to learn from.
+        seed: of points and training.
+
+    Returns:
+        The map; None if no obstacle reaches into the workspace.
+    """
+    packed = PackedObstacles.of(obstacles)
+    lower, upper = np.asarray(workspace[0]), np.asarray(workspace[1])
+    around = packed.half_extents + INFLATION
+    inside = (packed.position - around < upper) & (packed.position + around > lower)
+    if not inside.all(axis=1).any():
+        return None
+    rng = np.random.default_rng([seed, 2])
+    drawn, labels = sample_labelled_points(obstacles, points, rng, workspace=workspace)
+    network = train_map(drawn, labels, inflation=INFLATION, seed=seed)
+    return PointNetworkMap.of(network, workspace).grid

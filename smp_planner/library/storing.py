@@ -1,0 +1,79 @@
+"""The file of a learned primitive: demonstrations, settings and robot; runs no code.
+
+The primitive is learned again on loading, which takes milliseconds and keeps file and code from
+drifting apart.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.kinematics import SphereSet
+from smp_planner.library.settings import FitSettings
+from smp_planner.library.urdf import Robot
+from smp_planner.occupancy.archive import read_archive, write_archive
+from smp_planner.robot_model import RobotModel
+
+__all__ = ["read_primitive", "write_primitive"]
+
+FloatArray = NDArray[np.float64]
+
+_HEADER = {"format": "smp_planner.primitive", "version": 1}
+_CHAIN = ("base", "joint_origins", "end_effector", "lower", "upper", "velocity")
+_SPHERES = ("link", "center", "radius")
+
+
+def write_primitive(
+    path: str | Path,
+    demonstrations: Sequence[FloatArray],
+    settings: FitSettings,
+    robot: Robot | None,
+) -> None:
+    """Write what a primitive is learned from as an `.npz` without pickled objects."""
+    arrays: dict[str, NDArray[Any]] = {
+        "samples": np.concatenate(demonstrations),
+        "lengths": np.array([len(d) for d in demonstrations]),
+        "settings": np.array(settings.model_dump_json()),
+    }
+    if robot is not None:
+        arrays["joints"] = np.array(json.dumps(robot.joints))
+        arrays |= {f"robot_{name}": getattr(robot.model, name) for name in _CHAIN}
+        arrays |= {f"spheres_{name}": getattr(robot.model.spheres, name) for name in _SPHERES}
+    write_archive(path, _HEADER, arrays)
+
+
+def read_primitive(
+    path: str | Path,
+) -> tuple[list[FloatArray], FitSettings, Robot | None]:
+    """Read what `write_primitive` wrote.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: it is damaged, is something else, or is of another version.
+    """
+    arrays = read_archive(Path(path).read_bytes(), str(path), _HEADER)
+    try:
+        samples, lengths = arrays["samples"], arrays["lengths"]
+        if samples.ndim != 2 or lengths.sum() != len(samples):
+            raise ValueError(f"{len(samples)} samples do not have the lengths {lengths}")
+        demonstrations = np.split(samples, np.cumsum(lengths)[:-1])
+        settings = FitSettings.model_validate_json(str(arrays["settings"]))
+        robot = None
+        if "joints" in arrays:
+            robot = Robot(
+                RobotModel(
+                    **{name: arrays[f"robot_{name}"] for name in _CHAIN},
+                    spheres=SphereSet(*(arrays[f"spheres_{name}"] for name in _SPHERES)),
+                    collision_pairs=np.empty((0, 2), np.int64),
+                ),
+                tuple(json.loads(str(arrays["joints"]))),
+            )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
+    return demonstrations, settings, robot
