@@ -176,8 +176,8 @@ def tune(
             for seed in range(tuning.FIRST_SEED, tuning.FIRST_SEED + repetitions)
         ]
         _report(rows, ["method", "candidate"], tuning.COLUMNS, out, name)
-        chosen = tuning.best(summarise(rows, ["method", "candidate"]))["candidate"]
-        console.print(f"{name}: {tuning.CANDIDATES[name][int(str(chosen))]}")
+        summaries = summarise(rows, ["method", "candidate"])
+        console.print(f"best: {summaries[tuning.best(summaries)]['candidate']}")
 
 
 def _scene(

@@ -97,12 +97,14 @@ def measure(
     """
     free = paths[clearances(paths, scene.obstacles) > 0.0]
     ways = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
+    alike = similarity(paths, reference)
+    alike_free = alike if len(free) == len(paths) else similarity(free, reference)
     return {
         "free": float(len(free)),
         "classes": float(ways.count) if ways else 0.0,
         "entropy": ways.entropy if ways else None,
-        **similarity(paths, reference),
-        **similarity(free, reference, "_free"),
+        **alike,
+        **{f"{name}_free": value for name, value in alike_free.items()},
         "length": float(path_lengths(paths).mean()),
         "smoothness": float(log_dimensionless_jerk(paths).mean()),
     }

@@ -124,10 +124,10 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "smp": Method(Stein(), settings(weight=1.0)),
         "promp_diff": Method(
             Flow(iterations=1000, flow_time=0.002, longest_move=0.004, fit_std=0.0025),
-            settings(margin=0.12, edge_width=(0.2, 0.1)),
+            settings(margin=0.18, edge_width=(0.1, 0.01)),
         ),
         "cpromp": Method(GaussianVI(iterations=400), settings(weight=30.0)),
-        "prompt_o": Method(OptimisedMean(), settings(weight=10.0, margin=0.12)),
+        "prompt_o": Method(OptimisedMean(), settings(weight=100.0, margin=0.12)),
     }
 )
 """Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -45,10 +46,25 @@ class Reference:
     paths: FloatArray
     signatures: IntArray
 
-    @property
+    @cached_property
     def ways(self) -> IntArray:
         """(C, M) signatures of all ways in it, the likeliest first."""
         return group(self.signatures).signatures
+
+    @cached_property
+    def compared(self) -> FloatArray:
+        """(`_COMPARED` or more, 50, 2) of its paths, evenly chosen, resampled."""
+        return resample(self.paths[:: max(1, len(self.paths) // _COMPARED)])
+
+    @cached_property
+    def diversity(self) -> float:
+        """Mean distance of two paths."""
+        return diversity(self.compared)
+
+    @cached_property
+    def spread(self) -> float | None:
+        """`within_spread` of all of it."""
+        return within_spread(resample(self.paths), self.signatures)
 
 
 def exact_draws(
@@ -127,17 +143,15 @@ def posterior_row(
         reference: the posterior.
         scene: of it.
     """
-    compared = resample(reference.paths[:: max(1, len(reference.paths) // _COMPARED)])
-    alone = within_spread(resample(paths), signatures)
-    whole = within_spread(resample(reference.paths), reference.signatures)
+    alone, whole = within_spread(resample(paths), signatures), reference.spread
     ways = [float((signatures == way).all(axis=-1).mean()) for way in reference.ways]
     return {
         "setting": name,
         "free": float((clearances(paths, scene.obstacles) > 0.0).mean()),
         "classes": float(group(signatures).count),
         "variation": total_variation(signatures, reference.signatures),
-        "wasserstein_exact": wasserstein(resample(paths), compared),
-        "diversity": diversity(resample(paths)) / diversity(compared),
+        "wasserstein_exact": wasserstein(resample(paths), reference.compared),
+        "diversity": diversity(resample(paths)) / reference.diversity,
         "spread": None if alone is None or whole is None else alone / whole,
         **{f"way_{number}": share for number, share in enumerate(ways, start=1)},
     }
