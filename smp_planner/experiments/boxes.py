@@ -22,7 +22,7 @@ from smp_planner.experiments.lasa_scenes import LasaScene, Method
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column
 
-__all__ = ["COLUMNS", "PAPER", "PRIORS", "TAIL", "box_row", "regions"]
+__all__ = ["COLUMNS", "PRIORS", "TAIL", "box_row", "regions"]
 
 TAIL = 0.25
 """mm, σ of Eq. (14)."""
@@ -32,15 +32,19 @@ PRIORS: Mapping[str, bool | None] = MappingProxyType(
 )
 """Whether Eq. (14) is taken as printed, by name; None is without the smooth box prior."""
 
-PAPER = (
-    "The paper's Table I: 42/42 with and 40/42 without for S, 42/42 with and 36/42 without for "
-    "S + W; of ends."
-)
+_PAPER = {
+    ("Sshape", False): "40/42",
+    ("Sshape", True): "42/42",
+    ("Sshape+WShape", False): "36/42",
+    ("Sshape+WShape", True): "42/42",
+}
+"""Ends in the region by shape, and whether with the smooth box prior; the paper's Table I."""
 
 COLUMNS = (
     Column("shape", "Shape"),
     Column("prior", "Smooth box prior"),
     Column("ends", "Ends in region", 1, extremes=True),
+    Column("paper", "Ends, paper"),
     Column("starts", "Starts in region", 1, extremes=True),
     Column("free", "Free", 1, extremes=True),
 )
@@ -102,6 +106,7 @@ def box_row(
     return {
         "shape": scene.shape,
         "prior": prior,
+        "paper": _PAPER.get((scene.shape, paper_scale is not None), "–"),
         "seed": seed,
         "ends": _inside(paths[:, -1], last),
         "starts": _inside(paths[:, 0], first),

@@ -20,8 +20,10 @@ __all__ = ["draw_side_by_side"]
 FloatArray = NDArray[np.float64]
 
 _DEMONSTRATION, _ADAPTED, _OLD_END, _NEW_END = "#c9252b", "#2e9e44", "#2563c4", "#c9252b"
-_PANEL = 3.2
-_DPI = 110
+_WIDTH, _LEAST_PANEL, _GREATEST_PANEL, _TEXT = 9.0, 3.0, 5.0, 0.9
+"""Inches: of a figure, unless that makes its panels too small or too great; of title and legend."""
+
+_DPI = 100
 
 
 def draw_side_by_side(
@@ -48,18 +50,18 @@ def draw_side_by_side(
     lower = np.min([path.min(axis=0) for path in everything], axis=0)
     upper = np.max([path.max(axis=0) for path in everything], axis=0)
     width, height = upper - lower
-    figure = Figure(
-        figsize=(_PANEL * len(panels), _PANEL * height / width + 0.9), layout="constrained"
-    )
+    panel = min(max(_WIDTH / len(panels), _LEAST_PANEL), _GREATEST_PANEL)
+    size = (panel * len(panels), panel * height / width + _TEXT)
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, (title, paths), scene in zip(axes, panels.items(), each, strict=True):
         _draw(ax, paths, demonstrations, scene)
         ax.set_title(title, fontsize=10)
     axes[0].set_xlim(lower[0] - 0.03 * width, upper[0] + 0.03 * width)
     axes[0].set_ylim(lower[1] - 0.03 * height, upper[1] + 0.03 * height)
-    figure.legend(
-        handles=_legend(each, demonstrations), loc="outside lower center", ncols=6, fontsize=9
-    )
+    handles = _legend(each, demonstrations)
+    columns = min(len(handles), 3 * len(panels))
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=9)
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=_DPI)
 

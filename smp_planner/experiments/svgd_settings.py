@@ -124,19 +124,18 @@ class Ground:
             paths = adapted(
                 self.primitive, self.variant.scene, method, particles, seed
             ).trajectories
-        return self._measured(setting, paths, seed)
+        return {**self._compared(setting, paths, seed), **similarity(paths, self.prior)}
 
     def reference_rows(self) -> Iterator[Row]:
-        """Yield a row of each run of the reference."""
+        """Yield a row of each run of the reference, without similarity, which depends on size."""
         for seed, paths in enumerate(self.runs):
-            yield self._measured(POSTERIOR, paths, seed)
+            yield {**self._compared(POSTERIOR, paths, seed), **similarity(paths[:0], self.prior)}
 
-    def _measured(self, setting: str, paths: FloatArray, seed: int) -> Row:
+    def _compared(self, setting: str, paths: FloatArray, seed: int) -> Row:
         scene = self.variant.scene
         signatures = classes(paths, scene.obstacles, common_ends(self.primitive))
         return {
             **posterior_row(setting, paths, signatures, self.posterior, scene),
-            **similarity(paths, self.prior),
             "seed": seed,
         }
 

@@ -59,8 +59,9 @@ def test_scenes_are_no_trivial_ones(letter: SMP) -> None:
 def test_figure_1(letter: SMP) -> None:
     reference = comparison.reference_of(letter)[::5]
     rows = {"floor": comparison.noise_floor_row(letter, FIGURE_1, reference, 42, 0)}
-    for name in ("promp", "smp", "cpromp"):
-        plan = comparison.adapted(letter, FIGURE_1, METHODS[name], 42, 0)
+    quicker = Method(GaussianVI(iterations=100), METHODS["cpromp"].settings)
+    for name, method in {**METHODS, "cpromp": quicker}.items():
+        plan = comparison.adapted(letter, FIGURE_1, method, 42, 0)
         rows[name] = comparison.measure(plan.trajectories, letter, FIGURE_1, reference)
         assert rows[name]["free"] == plan.collision_free.sum()
     assert rows["smp"]["free"] == 42.0
@@ -69,7 +70,7 @@ def test_figure_1(letter: SMP) -> None:
     assert rows["promp"]["free"] < 12.0
     assert rows["smp"]["entropy"] > rows["cpromp"]["entropy"] == 0.0
     for name in ("wasserstein", "frechet", "mmd"):
-        assert rows["smp"][name] < rows["cpromp"][name]
+        assert rows["smp"][name] < min(rows[m][name] for m in ("promp_diff", "cpromp", "prompt_o"))
         assert rows["smp"][name] == rows["smp"][f"{name}_free"]
         assert rows["promp"][f"{name}_free"] > rows["floor"][name]
 
