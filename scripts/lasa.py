@@ -6,6 +6,7 @@ settings of the methods.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +18,7 @@ from rich.progress import track
 
 from smp_planner.adapt import AnyOf, Circle, ViaPoint
 from smp_planner.adaptation import Stein
-from smp_planner.experiments import boxes, comparison, lasa, modulation, tuning
+from smp_planner.experiments import boxes, comparison, modulation, tuning
 from smp_planner.experiments.figures import draw_side_by_side
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
@@ -32,7 +33,9 @@ from smp_planner.experiments.lasa_scenes import (
 )
 from smp_planner.experiments.tables import Column, Row, rich_table, summarise, write_tables
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, help=__doc__)
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__
+)
 
 _TITLES = {
     "promp": "ProMP",
@@ -51,6 +54,10 @@ _Vias = Annotated[
     typer.Option(help="Via-point phase,x,y; repeatable, several of one phase are a choice."),
 ]
 _Goal = Annotated[str | None, typer.Option(help="New end x,y in mm; by default as demonstrated.")]
+_Modes = Annotated[
+    int | None,
+    typer.Option(min=1, help="Ways that were demonstrated; by default as the data has it."),
+]
 
 
 @app.command()
@@ -59,6 +66,7 @@ def compare(
     obstacle: _Obstacles = None,
     via: _Vias = None,
     goal: _Goal = None,
+    modes: _Modes = None,
     method: Annotated[str, typer.Option(help="Methods, by comma.")] = ",".join(METHODS),
     particles: _Particles = 42,
     repetitions: _Repetitions = 20,
@@ -73,14 +81,17 @@ def compare(
         if name not in METHODS:
             raise typer.BadParameter(f"method must be one of {', '.join(METHODS)}; got {name!r}")
     scene = _scene(shape, obstacle, via, goal, FIGURE_1)
-    primitive = learn(scene.shape)
+    primitive = learn(scene.shape, modes=modes)
     reference = comparison.reference_of(primitive)
     rows: list[Row] = []
     panels = {}
     for seed in track(range(repetitions), "repetitions"):
+        plans = {
+            name: comparison.adapted(primitive, scene, METHODS[name], particles, seed)
+            for name in names
+        }
         rows.append(comparison.noise_floor_row(primitive, scene, reference, particles, seed))
-        for name in names:
-            plan = comparison.adapted(primitive, scene, METHODS[name], particles, seed)
+        for name, plan in plans.items():
             measured = comparison.measure(plan.trajectories, primitive, scene, reference)
             rows.append({"method": name, "seed": seed, **measured})
             if seed == 0:
@@ -98,6 +109,7 @@ def modulate(
     obstacle: _Obstacles = None,
     via: _Vias = None,
     goal: _Goal = None,
+    modes: _Modes = None,
     particles: _Particles = 42,
     repetitions: _Repetitions = 20,
     out: _Out = Path("results/lasa/fig2"),
@@ -120,7 +132,7 @@ def modulate(
     rows: list[Row] = []
     panels, drawn = {}, []
     for name, scene in scenes.items():
-        primitive = learn(scene.shape)
+        primitive = learn(scene.shape, modes=modes)
         for seed in track(range(repetitions), name):
             for way, method in ways.items():
                 plan = comparison.adapted(primitive, scene, method, particles, seed)
@@ -182,6 +194,15 @@ def tune(
         console.print(f"best: {summaries[tuning.best(summaries)]['candidate']}")
 
 
+def main() -> None:
+    """Run the commands; what they refuse is said in one line, with exit code 2."""
+    try:
+        app()
+    except (ValueError, ModuleNotFoundError) as error:
+        Console(stderr=True).print(f"error: {error}", style="bold red", markup=False)
+        sys.exit(2)
+
+
 def _scene(
     shape: str,
     obstacles: Sequence[str] | None,
@@ -192,10 +213,6 @@ def _scene(
     """Return the scene that options describe."""
     if default is not None and shape == default.shape and not (obstacles or vias or goal):
         return default
-    try:
-        lasa.demonstrations(shape)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
     choices: dict[float, list[ViaPoint]] = {}
     for phase, x, y in (_numbers("via", text, 3) for text in vias or ()):
         choices.setdefault(phase, []).append(ViaPoint(phase, np.array([x, y])))
@@ -255,4 +272,4 @@ def _report(
 
 
 if __name__ == "__main__":
-    app()
+    main()

@@ -133,16 +133,17 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 """Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""
 
 
-def learn(shape: str, smooth_std: float = SMOOTH_STD) -> SMP:
+def learn(shape: str, smooth_std: float = SMOOTH_STD, modes: int | None = None) -> SMP:
     """Return the primitive of a shape.
 
     Args:
         shape: of `lasa.demonstrations`.
         smooth_std: mm, see `ProMP.fit`.
+        modes: components; None lets the demonstrations decide.
 
     Raises:
-        ValueError: there is no such shape.
+        ValueError: there is no such shape, or `modes` is out of range.
     """
     demonstrations = lasa.demonstrations(shape)
     extent = float(np.ptp(demonstrations, axis=(0, 1)).max())
-    return SMP.fit(demonstrations, smooth_std=smooth_std / extent)
+    return SMP.fit(demonstrations, smooth_std=smooth_std / extent, modes=modes)
