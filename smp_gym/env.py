@@ -22,8 +22,8 @@ from smp_gym.observation import (
     CONTROLS,
     MAX_EPISODE_STEPS,
     Control,
+    Encoder,
     Observation,
-    encode,
     observation_space,
 )
 from smp_gym.sampling import sample_of_family
@@ -144,7 +144,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._camera = _make_camera(camera)
         self.observation_space = observation_space(self.task.name)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
-        self._cell = Workcell(self.task, gui=render_mode == "human")
+        seen = render_mode is not None
+        self._cell = Workcell(self.task, gui=render_mode == "human", seen=seen)
         self._scene: Scene | None = None
         self._actions: list[NDArray[np.float64]] = []
         self._failure = ""
@@ -321,6 +322,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._scene = None
         self._cell.load(scene)
         self._scene = scene
+        self._encoder = Encoder(scene, self.control)
         self._actions = []
         self._failure = ""
         self._succeeded = self._over = False
@@ -362,8 +364,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     def _observe(self) -> Observation:
         cell = self._cell
         achieved = self.task.achieved_goal(cell.status)
-        elapsed = len(self._actions)
-        return encode(self.scene, cell.robot, cell.manipulated, achieved, elapsed, self.control)
+        return self._encoder.encode(cell.robot, cell.manipulated, achieved, len(self._actions))
 
     def _info(self) -> dict[str, Any]:
         return {
@@ -417,7 +418,7 @@ def _checked_action(action: Any) -> NDArray[np.float64]:
         raise ValueError(f"action must be finite, got {checked.tolist()}")
     if np.abs(checked).max() > 1.0 + _ACTION_TOLERANCE:
         raise ValueError(f"action must lie between -1 and 1, got {checked.tolist()}")
-    return np.clip(checked, -1.0, 1.0)
+    return np.minimum(np.maximum(checked, -1.0), 1.0)
 
 
 def _previous_goals(info: Any, shape: tuple[int, ...]) -> FloatArray:

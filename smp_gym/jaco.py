@@ -176,7 +176,7 @@ class Jaco:
                 rate as a fraction of `GRIPPER_RATE`, positive closing.
         """
         advanced = self._reference + action[:6] * self._velocity_limit * CONTROL_PERIOD
-        self._reference = np.clip(advanced, JOINT_LOWER, JOINT_UPPER)
+        self._reference = np.minimum(np.maximum(advanced, JOINT_LOWER), JOINT_UPPER)
         gripper = self._gripper + float(action[6]) * GRIPPER_RATE * CONTROL_PERIOD
         self._gripper = min(max(gripper, 0.0), 1.0)
 
@@ -185,9 +185,8 @@ class Jaco:
         states = pybullet.getJointStates(self._body, self._arm, physicsClientId=self._client)
         measured = np.array([state[0] for state in states])
         # The velocity cap spreads the way over the whole step; without it the motors would jump.
-        velocity = np.clip(
-            np.abs(self._reference - measured) / CONTROL_PERIOD, 1e-3, 1.05 * self._velocity_limit
-        )
+        velocity = np.abs(self._reference - measured) / CONTROL_PERIOD
+        velocity = np.minimum(np.maximum(velocity, 1e-3), 1.05 * self._velocity_limit)
         for joint, target, cap, effort in zip(
             self._arm, self._reference.tolist(), velocity.tolist(), self._effort, strict=True
         ):
@@ -251,7 +250,9 @@ class Jaco:
         origin, quaternion, linear, angular = (np.array(link[i]) for i in (4, 5, 6, 7))
         rotation = np.reshape(pybullet.getMatrixFromQuaternion(link[5]), (3, 3))
         offset = rotation @ point
-        return origin + offset, quaternion, linear + np.cross(angular, offset), angular
+        (a, b, c), (x, y, z) = angular.tolist(), offset.tolist()
+        turning = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+        return origin + offset, quaternion, linear + turning, angular
 
     def put(self, configuration: Sequence[float]) -> None:
         """Put the arm into a configuration (6,) rad, at rest; the fingers stay as they are."""
@@ -294,5 +295,5 @@ class Jaco:
         They then press on what is between them. When the gripper opens, the command is the first
         to fall below the measured angle: that is where a release begins.
         """
-        measured = float(state.finger_angles[:2].mean())
-        return self._gripper * FINGER_CLOSED > measured + _GRIP_MARGIN
+        first, second, *_ = state.finger_angles.tolist()
+        return self._gripper * FINGER_CLOSED > (first + second) / 2.0 + _GRIP_MARGIN

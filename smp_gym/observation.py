@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -37,11 +37,11 @@ __all__ = [
     "STATE_LAYOUT",
     "Control",
     "DecodedObservation",
+    "Encoder",
     "Field",
     "ObjectState",
     "RobotState",
     "decode",
-    "encode",
     "encode_desired_goal",
     "observation_space",
 ]
@@ -222,10 +222,21 @@ def _limits(layout: tuple[Field, ...]) -> tuple[Array, Array]:
     return low, high
 
 
-def _join(values: Mapping[str, Any], layout: tuple[Field, ...]) -> NDArray[np.float32]:
-    low, high = _limits(layout)
-    joined = np.concatenate([np.atleast_1d(values[f.name]) for f in layout])
-    return np.clip(joined, low, high).astype(np.float32)
+class _Join:
+    """Puts the values of a layout's fields into one vector, clipped to their bounds."""
+
+    def __init__(self, layout: tuple[Field, ...]) -> None:
+        self._places = tuple(_places(layout).items())
+        self._low, self._high = _limits(layout)
+
+    def __call__(self, values: Mapping[str, Any]) -> NDArray[np.float32]:
+        joined = np.empty(len(self._low))
+        for name, place in self._places:
+            joined[place] = values[name]
+        # Twice as quick as `np.clip` on vectors as short as these.
+        np.maximum(joined, self._low, out=joined)
+        np.minimum(joined, self._high, out=joined)
+        return joined.astype(np.float32)
 
 
 def _check_task(task: str) -> None:
@@ -261,18 +272,13 @@ _WITHOUT_OBJECT = frozenset({"DrawS"})
 
 def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
     """Return ``desired_goal`` (G,) of a scene, laid out as `GOAL_LAYOUTS` says."""
-    return _join(demanded(scene), GOAL_LAYOUTS[scene.task])
-
-
-# The two that stay the same all episode are worked out once.
-@lru_cache(maxsize=16)
-def _constants(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return encode_desired_goal(scene), _encode_obstacles(scene.obstacles)
+    return _Join(GOAL_LAYOUTS[scene.task])(demanded(scene))
 
 
 def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
     width = sum(f.size for f in OBSTACLE_LAYOUT)
     rows = np.zeros((MAX_OBSTACLES, width), np.float32)
+    join = _Join(OBSTACLE_LAYOUT)
     for row, obstacle in zip(rows, obstacles, strict=False):
         values = {
             "present": 1.0,
@@ -282,44 +288,55 @@ def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
             "size": obstacle.size,
             "velocity": obstacle.velocity,
         }
-        row[:] = _join(values, OBSTACLE_LAYOUT)
+        row[:] = join(values)
     return rows.ravel()
 
 
-def encode(
-    scene: Scene,
-    robot: RobotState,
-    manipulated: ObjectState,
-    achieved_goal: Mapping[str, Any],
-    elapsed_steps: int,
-    control: Control = "joint_velocity",
-) -> Observation:
-    """Return the observation of a state.
+class Encoder:
+    """Turns the states of one episode into observations.
 
     Args:
         scene: the episode's scene.
-        robot: state of arm and gripper.
-        manipulated: state of the object.
-        achieved_goal: values of the task's goal fields by name.
-        elapsed_steps: environment steps since the episode began.
         control: what actions mean.
-
-    Returns:
-        The four vectors, float32, clipped to the bounds of `observation_space`.
     """
-    state = {
-        **vars(robot),
-        **{f"object_{name}": value for name, value in vars(manipulated).items()},
-        "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
-        "control": CONTROLS.index(control),
-    }
-    desired_goal, obstacles = _constants(scene)
-    return {
-        "observation": _join(state, STATE_LAYOUT),
-        "achieved_goal": _join(achieved_goal, GOAL_LAYOUTS[scene.task]),
-        "desired_goal": desired_goal.copy(),
-        "obstacles": obstacles.copy(),
-    }
+
+    def __init__(self, scene: Scene, control: Control = "joint_velocity") -> None:
+        self._control = CONTROLS.index(control)
+        self._state = _Join(STATE_LAYOUT)
+        self._goal = _Join(GOAL_LAYOUTS[scene.task])
+        self._desired_goal = encode_desired_goal(scene)
+        self._obstacles = _encode_obstacles(scene.obstacles)
+
+    def encode(
+        self,
+        robot: RobotState,
+        manipulated: ObjectState,
+        achieved_goal: Mapping[str, Any],
+        elapsed_steps: int,
+    ) -> Observation:
+        """Return the observation of a state.
+
+        Args:
+            robot: state of arm and gripper.
+            manipulated: state of the object.
+            achieved_goal: values of the task's goal fields by name.
+            elapsed_steps: environment steps since the episode began.
+
+        Returns:
+            The four vectors, float32, clipped to the bounds of `observation_space`.
+        """
+        state = {
+            **vars(robot),
+            **{f"object_{name}": value for name, value in vars(manipulated).items()},
+            "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
+            "control": self._control,
+        }
+        return {
+            "observation": self._state(state),
+            "achieved_goal": self._goal(achieved_goal),
+            "desired_goal": self._desired_goal.copy(),
+            "obstacles": self._obstacles.copy(),
+        }
 
 
 def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:

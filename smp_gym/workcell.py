@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -78,6 +79,7 @@ class Workcell:
     Args:
         task: whose scenes are played; it says which contacts they need.
         gui: open a window.
+        seen: whether pictures will be taken, or the window be looked at.
 
     Attributes:
         world: the physics.
@@ -95,8 +97,8 @@ class Workcell:
     manipulated: ObjectState
     status: Status
 
-    def __init__(self, task: Task, *, gui: bool = False) -> None:
-        self.world = BulletWorld(gui=gui)
+    def __init__(self, task: Task, *, gui: bool = False, seen: bool = True) -> None:
+        self.world = BulletWorld(gui=gui, seen=seen)
         self._task = task
         self._grasp: tuple[tuple[float, ...], ManipulatedObject | None] | None = None
         self._settled = -1
@@ -136,9 +138,7 @@ class Workcell:
         self._pen = manipulated is None
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
         self._trace, self._traced = np.empty((0, 3)), 0
-        self._targets = [
-            Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in _bodiless_goals(scene)
-        ]
+        self._scene = scene
         self._calm_steps = 0
         self._squeezing = True
         self._contacts: frozenset[Contact] = frozenset()
@@ -149,8 +149,9 @@ class Workcell:
     @property
     def lines(self) -> tuple[Line, ...]:
         """What is seen but has no body: goals without one, and the pen's trace over them."""
-        trace = Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH)
-        return (*self._targets, trace)
+        shown = _bodiless_goals(self._scene)
+        targets = (Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in shown)
+        return (*targets, Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH))
 
     def _disperse(self, scene: Scene) -> None:
         """Exchange the obstacles and take all bodies apart.
@@ -281,7 +282,7 @@ class Workcell:
             linear, angular = world.velocity("object")
         self.manipulated = ObjectState(position, quaternion, linear, angular, self._size)
         touching, held = self._touching_object(), self._held()
-        still = float(np.linalg.norm(linear)) < CALM_SPEED and "hand" not in touching
+        still = math.sqrt(linear @ linear) < CALM_SPEED and "hand" not in touching
         self._calm_steps = self._calm_steps + 1 if still else 0
         movers = (ARM, "object") if held else (ARM,)
         self.clearance = world.clearance(movers, world.obstacles, self.clearance)

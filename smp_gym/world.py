@@ -111,14 +111,17 @@ class BulletWorld:
 
     Args:
         gui: open PyBullet's window instead of computing without one.
+        seen: whether pictures show single shapes, as obstacles are. The engine works out hulls
+            for the looks of a cylinder or sphere, which takes longer than all else of its body.
 
     Raises:
         RuntimeError: a window was asked for and there is no display for it.
     """
 
-    def __init__(self, *, gui: bool = False) -> None:
+    def __init__(self, *, gui: bool = False, seen: bool = True) -> None:
         self.client = _connect(gui)
         self.gui = gui
+        self._seen = seen
         self._finalizer = weakref.finalize(self, _disconnect, self.client)
         self.clear()
 
@@ -133,10 +136,16 @@ class BulletWorld:
         self.set_gravity(True)
         self._bodies: dict[str, int] = {}
         self._parts: dict[tuple[int, int], str] = {}
-        self._touching: frozenset[tuple[int, int, int, int]] = frozenset()
+        self._touching: set[tuple[int, int, int, int]] = set()
         self._contacts: frozenset[Contact] = frozenset()
         self._obstacles: list[str] = []
         self._shown: dict[int, int] = {}
+        # A body without looks of its own would be given those of its collision shape.
+        self._unseen = int(
+            pybullet.createVisualShape(
+                pybullet.GEOM_BOX, halfExtents=_SPECK.size, physicsClientId=self.client
+            )
+        )
 
     def set_gravity(self, on: bool) -> None:
         """Switch gravity on or off."""
@@ -278,12 +287,12 @@ class BulletWorld:
 
     def contacts(self) -> frozenset[Contact]:
         """Return the pairs of parts that touch: that press on each other or overlap."""
-        touching = frozenset(
+        touching = {
             point[1:5]
             for point in pybullet.getContactPoints(physicsClientId=self.client)
             # The engine also reports points that are merely near (distance > 0, no force).
             if point[9] > 0.0 or point[8] < 0.0
-        )
+        }
         if touching != self._touching:
             self._touching = touching
             self._contacts = frozenset(self._pair(*key) for key in touching)
@@ -404,7 +413,7 @@ class BulletWorld:
         body = self._bodies.pop(name)
         del self._parts[body, -1]
         # PyBullet gives the numbers of removed bodies to new ones.
-        self._touching, self._contacts = frozenset(), frozenset()
+        self._touching, self._contacts = set(), frozenset()
         pybullet.removeBody(body, physicsClientId=self.client)
 
     def _park(self, slot: int, obstacle: Obstacle) -> None:
@@ -447,5 +456,7 @@ class BulletWorld:
         }
         length = 2.0 * part.size[2]
         collision = pybullet.createCollisionShape(height=length, **common)
+        if not self._seen:
+            return int(collision), self._unseen
         visual = pybullet.createVisualShape(length=length, rgbaColor=color, **common)
         return int(collision), int(visual)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from smp_planner.adaptation import Adaptation, Flow, GaussianVI, OptimisedMean, Stein
 from smp_planner.library.adapting import adapted, judged, widened
 from smp_planner.library.chain import with_collision_pairs
+from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.plan import PathPlan
 from smp_planner.library.reading import demonstrations_of
@@ -32,7 +33,7 @@ from smp_planner.library.settings import (
     FitSettings,
 )
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
-from smp_planner.library.sites import Frame, Wanted, sites_of
+from smp_planner.library.sites import Wanted, sites_of
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.target import SceneTarget
 from smp_planner.library.urdf import Robot

@@ -146,9 +146,7 @@ class PlannerPolicy:
             for i, digest in digests.items()
             if executions[i] is None or executions[i].digest != digest  # type: ignore[union-attr]
         ]
-        problems = [
-            problem_from(decoded[i], digests[i], self._phases, grasping=self._grasping) for i in due
-        ]
+        problems = [self._problem(decoded[i], digests[i]) for i in due]
         for i, problem, plan in zip(due, problems, self.planner.plan(problems), strict=True):
             executions[i] = self._execution(plan, problem, decoded[i], deterministic)
         ready = tuple(e for e in executions if e is not None)
@@ -159,6 +157,39 @@ class PlannerPolicy:
             ]
         )
         return (actions if batched else actions[0]), ready
+
+    def problem(self, observation: Mapping[str, NDArray[Any]] | NDArray[Any]) -> Problem:
+        """Return the problem that one observation poses, as `predict` hands it to the planner.
+
+        Args:
+            observation: as dict or flattened, not a batch.
+
+        Raises:
+            ValueError: the observation is not from an environment of this task, from one of
+                another control mode, or a batch.
+        """
+        rows, batched = self._rows(observation)
+        if batched:
+            raise ValueError(f"observation must be one, got a batch of {len(rows)}")
+        return self._problem(self._decoded(rows[0]), self._digest(rows[0]))
+
+    def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
+        return problem_from(decoded, digest, self._phases, grasping=self._grasping)
+
+    def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
+        """Return one particle of a plan on its way, as the policy would execute it.
+
+        Args:
+            plan: of this policy's planner.
+            particle: index of the particle.
+            first_step: environment step at which execution begins.
+        """
+        return Track(
+            trajectory=plan.trajectories[particle],
+            duration=float(plan.duration[particle]),
+            event=self._event,
+            first_step=first_step,
+        )
 
     def _rows(self, observation: Any) -> tuple[list[Any], bool]:
         """Split a batch into single observations."""
@@ -196,12 +227,7 @@ class PlannerPolicy:
         candidates = np.flatnonzero(plan.good if plan.good.any() else plan.collision_free)
         if not deterministic and len(candidates):
             particle = int(np.random.default_rng([problem.seed, 1]).choice(candidates))
-        track = Track(
-            trajectory=plan.trajectories[particle],
-            duration=float(plan.duration[particle]),
-            event=self._event,
-            first_step=decoded.elapsed_steps,
-        )
+        track = self.track(plan, particle, decoded.elapsed_steps)
         return Execution(plan, particle, track, problem.seed)
 
     def save(self, path: str | Path) -> None:

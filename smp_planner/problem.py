@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from smp_gym.kinematics import SphereSet
 from smp_gym.scene import Obstacle
+from smp_planner.modes import Modes, best_of_each, group
 
 __all__ = ["GoalRegion", "Plan", "Planner", "Problem", "Stage", "ViaPoint", "ViaPose"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
@@ -142,6 +144,8 @@ class Problem:
         via_poses: poses on the way, in the order of their phases.
         stages: what must stay clear of what at which phases, where that changes on the way; empty
             if the arm with all that is attached must stay clear of all obstacles throughout.
+        movable: those of `obstacles` that are no fixtures of the task; on which side of them
+            trajectories pass tells modes apart.
     """
 
     start: FloatArray
@@ -152,6 +156,7 @@ class Problem:
     via_points: tuple[ViaPoint, ...] = ()
     via_poses: tuple[ViaPose, ...] = ()
     stages: tuple[Stage, ...] = ()
+    movable: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", _checked("Problem.start", self.start, (6,)))
@@ -178,6 +183,11 @@ class Plan:
         components: (P,) index of the component of the prior that each particle belongs to; None
             where there is but one.
         passing: (P,) whether all via-points are passed; where there are none, True.
+        signatures: (P, 1 + 2 M) which way each goes: the index of the goal region that it ends
+            nearest to, then winding and level at each of the M obstacles of `Problem.movable`, as
+            in `modes.signatures_3d`; None where nobody has looked.
+        ranks: (P,) place of each in the order in which the planner prefers them, 0 for `chosen`;
+            None where nobody has looked.
     """
 
     weights: FloatArray
@@ -193,11 +203,39 @@ class Plan:
     message: str = ""
     components: NDArray[np.int64] | None = None
     passing: BoolArray = field(default_factory=lambda: np.ones(1, np.bool_))
+    signatures: IntArray | None = None
+    ranks: IntArray | None = None
 
     @property
     def good(self) -> BoolArray:
         """(P,) whether a particle is collision-free, executable and passes all via-points."""
         return self.collision_free & self.executable & self.passing
+
+    @property
+    def modes(self) -> Modes:
+        """Classes of the good particles by signature, labels in their order; none if none is good.
+
+        Raises:
+            ValueError: the plan has no signatures.
+        """
+        if self.signatures is None:
+            raise ValueError("Plan.modes needs Plan.signatures, got None")
+        good = self.signatures[self.good]
+        if len(good) == 0:
+            return Modes(good, np.empty(0, np.int64), np.empty(0))
+        return group(good)
+
+    @property
+    def best_of_modes(self) -> IntArray:
+        """(C,) index of the best good particle of each of `modes`.
+
+        Raises:
+            ValueError: the plan has no signatures or no ranks.
+        """
+        if self.ranks is None:
+            raise ValueError("Plan.best_of_modes needs Plan.ranks, got None")
+        good = np.flatnonzero(self.good)
+        return good[best_of_each(self.modes, self.ranks[good])]
 
     @property
     def planning_time(self) -> float:

@@ -100,6 +100,7 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
             Stage(grasp, 1.0, concatenate(arm, fingers), solid),
             Stage(grasp, 1.0, box, obstacles),
         ),
+        movable=obstacles,
     )
 
 
@@ -136,6 +137,7 @@ def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray 
         goals=(GoalRegion(PEN_TIP, end - END_HALF_WIDTH, end + END_HALF_WIDTH),),
         seed=seed,
         via_points=via_points,
+        movable=decoded.scene.obstacles,
     )
 
 
@@ -182,4 +184,5 @@ def problem_from(
         attached=attached,
         goals=goals,
         seed=seed,
+        movable=decoded.scene.obstacles,
     )

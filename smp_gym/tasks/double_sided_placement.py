@@ -129,7 +129,9 @@ class DoubleSidedPlacement(PlacingTask):
             (np.abs(achieved[..., at] - desired[..., at]) <= _TOLERANCE).all(axis=-1)
             for at in _POSITIONS
         ]
-        return np.stack(near, axis=-1) & self._let_go(achieved, desired)[..., None]
+        there = np.stack(near, axis=-1)
+        # Most of an episode is far from its goals.
+        return there & self._let_go(achieved, desired)[..., None] if there.any() else there
 
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., 9) are reached on either side, (...)."""

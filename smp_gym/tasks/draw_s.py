@@ -47,6 +47,7 @@ _SUBDIVISION = 3
 """Points into which the line between two neighbouring points of the trace is cut."""
 
 _STROKE = slice(0, 3 * STROKE_POINTS)
+_END = slice(3 * STROKE_POINTS - 3, 3 * STROKE_POINTS)
 _DEMANDED = slice(3 * STROKE_POINTS, 4 * STROKE_POINTS)
 _COLLIDED = 4 * STROKE_POINTS
 
@@ -178,18 +179,16 @@ class DrawS:
             (...) whether the trace ends within `END_TOLERANCE` of the stroke's end, has passed the
             demanded checkpoints in order, and nothing collided.
         """
-        achieved, desired = np.broadcast_arrays(achieved, desired)
-        shape = achieved.shape[:-1]
-        achieved = achieved.reshape(-1, achieved.shape[-1])
-        desired = desired.reshape(-1, desired.shape[-1])
-        offset = _points(achieved)[:, -1] - _points(desired)[:, -1]
-        done = np.linalg.norm(offset, axis=-1) <= END_TOLERANCE
-        done &= ~self.collided(achieved)
+        offset = achieved[..., _END] - desired[..., _END]
+        ended = np.sqrt((offset * offset).sum(axis=-1)) <= END_TOLERANCE
+        ended = np.asarray(ended & ~self.collided(achieved))
         # Few traces end where they should; only they are worth a closer look.
-        ended = np.flatnonzero(done)
-        if len(ended):
-            done[ended] = _reached(achieved[ended], desired[ended]) == STROKE_POINTS
-        return done.reshape(shape)
+        if not ended.any():
+            return ended
+        achieved, desired = np.broadcast_arrays(achieved, desired)
+        reached = _reached(achieved[ended], desired[ended])
+        ended[ended] = reached == STROKE_POINTS
+        return ended
 
     def collided(self, achieved: FloatArray) -> BoolArray:
         """Return whether goals (..., 129) tell of a collision, (...)."""
@@ -197,7 +196,7 @@ class DrawS:
 
     def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return False for all goals (..., 129): what was drawn amiss can be drawn anew."""
-        return np.zeros(np.broadcast_shapes(achieved.shape, desired.shape)[:-1], np.bool_)
+        return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return minus the way that is left along the stroke, (...), 20 per metre.

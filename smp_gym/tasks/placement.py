@@ -92,8 +92,9 @@ class Placement(PlacingTask):
             height), the demanded flags are up and nothing collided.
         """
         offset = np.abs(achieved[..., _POSITION] - desired[..., _POSITION])
-        near = (offset <= _TOLERANCE).all(axis=-1)
-        return np.asarray(near & self._let_go(achieved, desired))
+        near = np.asarray((offset <= _TOLERANCE).all(axis=-1))
+        # Most of an episode is far from its goal.
+        return np.asarray(near & self._let_go(achieved, desired)) if near.any() else near
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return minus the object's distance from its place, (...), 20 per metre."""

@@ -175,7 +175,7 @@ class PushLiftBox:
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., 5) are reached, (...)."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
-        near: BoolArray = np.linalg.norm(offset, axis=-1) <= TOLERANCE
+        near: BoolArray = np.sqrt((offset * offset).sum(axis=-1)) <= TOLERANCE
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 

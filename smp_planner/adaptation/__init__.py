@@ -7,7 +7,7 @@ from smp_planner.adaptation.flow import Flow
 from smp_planner.adaptation.gaussian import GaussianAdaptation
 from smp_planner.adaptation.optimised_mean import OptimisedMean
 from smp_planner.adaptation.stein import Stein
-from smp_planner.adaptation.target import Adaptation, Target
+from smp_planner.adaptation.target import Adaptation, Good, Target
 from smp_planner.adaptation.variational import GaussianVI
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Flow",
     "GaussianAdaptation",
     "GaussianVI",
+    "Good",
     "OptimisedMean",
     "Stein",
     "Target",

@@ -7,7 +7,7 @@ from abc import abstractmethod
 import numpy as np
 from torch import Tensor
 
-from smp_planner.adaptation.target import Adaptation, Target
+from smp_planner.adaptation.target import Adaptation, Good, Target
 from smp_planner.movement_primitives import ProMP
 
 __all__ = ["GaussianAdaptation"]
@@ -20,9 +20,14 @@ class GaussianAdaptation(Adaptation):
     """
 
     def adapt(
-        self, primitive: ProMP, latent: Tensor, target: Target, rng: np.random.Generator
+        self,
+        primitive: ProMP,
+        latent: Tensor,
+        target: Target,
+        rng: np.random.Generator,
+        good: Good | None = None,
     ) -> Tensor:
-        """Return the draws, carried to the adapted Gaussian."""
+        """Return the draws, carried to the adapted Gaussian; `good` is not asked."""
         mean, factor = self.adapt_gaussian(primitive, target, rng)
         return mean + latent @ factor.mT
 

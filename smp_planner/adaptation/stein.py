@@ -9,8 +9,8 @@ import torch
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from smp_planner.adaptation.target import Adaptation, Target
-from smp_planner.inference import SVGDSettings, init, named_settings, step
+from smp_planner.adaptation.target import Adaptation, Good, Target
+from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
 from smp_planner.movement_primitives import ProMP, phases
 
 __all__ = ["Stein"]
@@ -23,11 +23,16 @@ class Stein(Adaptation):
         inference: one of `smp_planner.inference.SETTINGS`.
         iterations: of SVGD.
         step_size: of its first iteration; None takes the inference's own.
+        early_stop: whether to stop as soon as particles hardly move (`inference.converged`), if
+            enough of them are good by then. They are looked at once.
+        good_share: of the particles, that is enough.
     """
 
     inference: str = "default"
     iterations: int = Field(default=100, ge=1)
     step_size: float | None = Field(default=None, gt=0.0)
+    early_stop: bool = False
+    good_share: float = Field(default=0.9, gt=0.0, le=1.0)
 
     @field_validator("inference")
     @classmethod
@@ -47,11 +52,21 @@ class Stein(Adaptation):
         return settings
 
     def adapt(
-        self, primitive: ProMP, latent: Tensor, target: Target, rng: np.random.Generator
+        self,
+        primitive: ProMP,
+        latent: Tensor,
+        target: Target,
+        rng: np.random.Generator,
+        good: Good | None = None,
     ) -> Tensor:
-        """Return the particles after all iterations; nothing is drawn from `rng`."""
+        """Return the particles after the last iteration; nothing is drawn from `rng`."""
+        ask = good if self.early_stop else None
         settings = self._settings(primitive, target.steps)
         whiten = settings.whiten
+
+        def whitened(particles: Tensor) -> Tensor:
+            return particles if whiten else primitive.whiten(particles)
+
         # The basis is evaluated once, not in each iteration.
         values = primitive.basis.values(phases(target.steps))
         shape = (-1, primitive.basis.count, primitive.dimension)
@@ -71,4 +86,11 @@ class Stein(Adaptation):
             if not whiten:
                 # Raw weights leave what conditioning made certain, the start above all.
                 state = state._replace(particles=primitive.project(state.particles))
-        return state.particles if whiten else primitive.whiten(state.particles)
+            if ask is not None:
+                before, after = whitened(particles), whitened(state.particles)
+                movement = float((after - before).square().mean(-1).sqrt().mean())
+                if converged(state, movement, settings):
+                    if ask(after).mean() >= self.good_share:
+                        break
+                    ask = None
+        return whitened(state.particles)

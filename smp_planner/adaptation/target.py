@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -13,9 +14,12 @@ from torch import Tensor
 
 from smp_planner.movement_primitives import ProMP
 
-__all__ = ["Adaptation", "Target", "latent_gradient"]
+__all__ = ["Adaptation", "Good", "Target", "latent_gradient"]
 
 FloatArray = NDArray[np.float64]
+
+Good = Callable[[Tensor], NDArray[np.bool_]]
+"""From particles (P, r) in whitened coordinates to which of them, (P,), are good as they are."""
 
 
 class Target(Protocol):
@@ -52,7 +56,12 @@ class Adaptation(BaseModel, ABC):
 
     @abstractmethod
     def adapt(
-        self, primitive: ProMP, latent: Tensor, target: Target, rng: np.random.Generator
+        self,
+        primitive: ProMP,
+        latent: Tensor,
+        target: Target,
+        rng: np.random.Generator,
+        good: Good | None = None,
     ) -> Tensor:
         """Return the adapted particles (P, r), in the primitive's whitened coordinates.
 
@@ -61,6 +70,7 @@ class Adaptation(BaseModel, ABC):
             latent: (P, r) draws from it, standard normals.
             target: what is wanted beside being likely under the prior.
             rng: source of all further randomness.
+            good: may be asked before the end, by ways that can stop early.
         """
 
 

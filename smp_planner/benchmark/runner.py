@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from smp_gym.frozen import load_episodes
 from smp_gym.scene import DIFFICULTIES, FAMILIES, FURNISHED_TASKS, TASKS
@@ -23,8 +24,12 @@ __all__ = [
     "available_cores",
     "draw",
     "make_manifest",
+    "play_all",
     "run",
 ]
+
+Key = TypeVar("Key")
+Row = TypeVar("Row")
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -128,20 +133,20 @@ def _workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
                 os.environ[name] = value
 
 
-class _Play:
+class _Play(Generic[Key, Row]):
     """Calls a player, and lets every exception cross the process border as text."""
 
-    def __init__(self, player: EpisodePlayer) -> None:
+    def __init__(self, player: Callable[[Key], Row]) -> None:
         self.player = player
 
-    def __call__(self, key: EpisodeKey) -> EpisodeRow:
+    def __call__(self, key: Key) -> Row:
         try:
             return self.player(key)
         except Exception as error:
             raise EpisodeFailedError(f"{key}: {type(error).__name__}: {error}") from error
 
 
-def _take(futures: set[Future[EpisodeRow]], done: Callable[[EpisodeRow], None]) -> None:
+def _take(futures: set[Future[Row]], done: Callable[[Row], None]) -> None:
     """Hand over the rows of finished futures, then raise the first error among them."""
     errors = []
     for future in futures:
@@ -156,12 +161,23 @@ def _take(futures: set[Future[EpisodeRow]], done: Callable[[EpisodeRow], None]) 
         raise errors[0]
 
 
-def _play_all(
-    keys: Sequence[EpisodeKey], player: EpisodePlayer, jobs: int, done: Callable[[EpisodeRow], None]
+def play_all(
+    keys: Sequence[Key], player: Callable[[Key], Row], jobs: int, done: Callable[[Row], None]
 ) -> None:
-    """Play episodes in `jobs` spawned processes and hand over each row as it comes."""
+    """Play episodes in `jobs` spawned processes and hand over each row as it comes.
+
+    Args:
+        keys: what is played, in order.
+        player: returns the row of a key; importable by name, for it runs in other processes.
+        jobs: number of worker processes.
+        done: called with each row in this process.
+
+    Raises:
+        BrokenProcessPool: a worker process was killed.
+        EpisodeFailedError: the player raised an exception.
+    """
     waiting = iter(keys)
-    running: set[Future[EpisodeRow]] = set()
+    running: set[Future[Row]] = set()
     with _workers(jobs) as pool:
         try:
             while True:
@@ -222,7 +238,7 @@ def run(
 
         try:
             if missing:
-                _play_all(missing, player, min(jobs, len(missing)), keep)
+                play_all(missing, player, min(jobs, len(missing)), keep)
         except BrokenProcessPool as error:
             raise WorkerDiedError(
                 f"a worker process died (killed, or out of memory) after "

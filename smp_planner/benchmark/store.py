@@ -8,7 +8,6 @@ and, once a run is complete, ``episodes.csv`` and ``summary.json``.
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -24,6 +23,7 @@ from typing import Any
 from smp_gym.frozen import load_episodes
 from smp_gym.scene import FAMILIES
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
+from smp_planner.benchmark.row_file import ResultsError, RowFile, read_rows
 
 __all__ = [
     "COLUMNS",
@@ -47,10 +47,6 @@ COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
 _PACKAGES = ("smp-gym", "gymnasium", "numba", "numpy", "pybullet", "scipy", "torch")
 _SOURCES = ("smp_gym", "smp_planner", "envs_assets")
 _SOURCE_SUFFIXES = (".py", ".json", ".npz", ".urdf", ".obj", ".safetensors", ".gz")
-
-
-class ResultsError(ValueError):
-    """A folder of results cannot be read or continued."""
 
 
 @dataclass(frozen=True)
@@ -151,21 +147,6 @@ def _parse_row(line: str) -> EpisodeRow:
     return EpisodeRow(**json.loads(line))
 
 
-def _read_rows(path: Path) -> tuple[list[EpisodeRow], int]:
-    """Return the rows of a file and the length of its whole lines in bytes."""
-    content = path.read_bytes() if path.exists() else b""
-    whole = content.rfind(b"\n") + 1
-    rows = []
-    for number, line in enumerate(content[:whole].splitlines(), start=1):
-        try:
-            rows.append(_parse_row(line.decode("utf-8")))
-        except (ValueError, TypeError) as error:
-            raise ResultsError(
-                f"{path}, line {number}, is not a row of results: {line[:80]!r} ({error})"
-            ) from error
-    return rows, whole
-
-
 def _read_manifest(path: Path) -> Manifest:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -187,7 +168,7 @@ def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
     manifest = folder / "manifest.json"
     if not manifest.is_file():
         raise ResultsError(f"{str(folder)!r} holds no results: there is no manifest.json in it")
-    return _read_manifest(manifest), _read_rows(folder / "episodes.jsonl")[0]
+    return _read_manifest(manifest), read_rows(folder / "episodes.jsonl", _parse_row)[0]
 
 
 def _differences(there: Manifest, here: Manifest) -> list[str]:
@@ -220,45 +201,34 @@ class EpisodeStore:
 
     def __init__(self, folder: Path, manifest: Manifest, *, restart: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        path = folder / "episodes.jsonl"
-        self._file = path.open("ab", buffering=0)
+        self._file = RowFile(folder / "episodes.jsonl", _parse_row)
         try:
-            self._lock(folder)
             self._adopt(folder, manifest, restart)
-            self.rows, whole = _read_rows(path)
-            os.truncate(path, whole)
+            self.rows = self._file.read()
         except BaseException:
             self._file.close()
             raise
         self.folder = folder
-
-    def _lock(self, folder: Path) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise ResultsError(f"another run is writing to {str(folder)!r}") from error
 
     def _adopt(self, folder: Path, manifest: Manifest, restart: bool) -> None:
         path = folder / "manifest.json"
         if path.exists():
             differences = _differences(_read_manifest(path), manifest)
             if differences and restart:
-                os.truncate(folder / "episodes.jsonl", 0)
+                self._file.clear()
             elif differences:
                 raise ResultsError(
                     f"{str(folder)!r} holds results of other settings and is left as it is; "
                     f"choose another folder, or start anew. {'; '.join(differences)}"
                 )
-        elif (folder / "episodes.jsonl").stat().st_size:
+        elif not self._file.empty:
             raise ResultsError(f"{str(folder)!r} holds rows but no manifest.json: damaged")
         content = {"format": FORMAT_VERSION, **asdict(manifest)}
         write_json(path, content)
 
     def append(self, row: EpisodeRow) -> None:
         """Add one row; it is on disk when this returns."""
-        line = json.dumps(asdict(row), allow_nan=False) + "\n"
-        self._file.write(line.encode("utf-8"))
-        os.fsync(self._file.fileno())
+        self._file.append(asdict(row))
         self.rows.append(row)
 
     def missing(self, keys: Iterable[EpisodeKey]) -> list[EpisodeKey]:

@@ -31,7 +31,16 @@ from smp_planner.inference.kernels import (
 )
 from smp_planner.inference.optimizers import AdaGrad, Adam, Optimizer
 
-__all__ = ["SETTINGS", "SVGDSettings", "State", "init", "named_settings", "stein_direction", "step"]
+__all__ = [
+    "SETTINGS",
+    "SVGDSettings",
+    "State",
+    "converged",
+    "init",
+    "named_settings",
+    "stein_direction",
+    "step",
+]
 
 
 class State(NamedTuple):
@@ -69,6 +78,9 @@ class SVGDSettings:
         annealing: fraction of the run that is annealed; 0 for none.
         schedule: how the annealed part rises to its full size.
         annealed: the part of the score that is annealed.
+        tolerance: mean movement of a particle in one iteration, root mean square over coordinates
+            and in standard deviations of the prior, under which a run has converged; see
+            `converged`.
         repulsion: whether particles see one another. Without, each climbs its own score: dropping
             only ∇k and keeping the average over particles would draw them all together.
 
@@ -85,6 +97,7 @@ class SVGDSettings:
     annealing: float = 0.7
     schedule: Schedule = tanh_annealing
     annealed: Literal["score", "likelihood"] = "score"
+    tolerance: float = 0.01
     repulsion: bool = True
 
     def __post_init__(self) -> None:
@@ -96,6 +109,8 @@ class SVGDSettings:
             raise ValueError(f"final_step must be in [0, 1], got {self.final_step}")
         if not 0.0 <= self.annealing <= 1.0:
             raise ValueError(f"annealing must be in [0, 1], got {self.annealing}")
+        if not (math.isfinite(self.tolerance) and self.tolerance > 0):
+            raise ValueError(f"tolerance must be positive and finite, got {self.tolerance}")
         if self.annealed not in ("score", "likelihood"):
             raise ValueError(f"annealed must be 'score' or 'likelihood', got {self.annealed!r}")
 
@@ -226,6 +241,19 @@ def step(
     decay = linear_decay(state.iteration, settings.iterations, settings.final_step)
     moved = torch.add(particles, change, alpha=settings.step_size * decay)
     return State(moved, memory, state.iteration + 1)
+
+
+def converged(state: State, movement: float, settings: SVGDSettings) -> bool:
+    """Return whether a run may stop before all iterations are done: it is annealed and at rest.
+
+    Args:
+        state: after the last iteration.
+        movement: mean over the particles of how far they went in it, root mean square over
+            coordinates, in standard deviations of the prior.
+        settings: of the run.
+    """
+    annealed = state.iteration >= settings.annealing * settings.iterations
+    return annealed and movement < settings.tolerance
 
 
 def _check_finite(name: str, value: Tensor) -> None:

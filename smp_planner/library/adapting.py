@@ -16,8 +16,6 @@ from smp_planner.library.target import SceneTarget, at_phase
 from smp_planner.movement_primitives import ProMP, ProMPMixture, smooth_covariance
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planners.base import Stopwatch
-from smp_planner.planners.judging import choose
-from smp_planner.verification import Verification
 
 __all__ = ["Judged", "Particles", "adapted", "judged", "widened"]
 
@@ -50,7 +48,7 @@ class Judged:
         missed: by how much (P,) each site is missed, by its name.
         passing: (P,) whether none is missed by more than the settings' `sigma`.
         costs: (P,) each, by name.
-        chosen: index of the best.
+        chosen: index of the likeliest under the posterior of those that meet the most demands.
     """
 
     paths: FloatArray
@@ -150,14 +148,8 @@ def judged(particles: Particles, primitive: ProMP, target: SceneTarget) -> Judge
     worst = np.max([zero, *missed.values()], axis=0)
     planned = primitive.trajectory(particles.weights, settings.planning_steps).numpy()
     costs = {"prior": particles.prior, **target.costs(planned)}
-    verdict = Verification(
-        collision_free=check.free,
-        self_collision_free=check.free,
-        clearance=check.clearance,
-        within_limits=check.executable,
-        duration=check.duration,
-        executable=check.executable,
-    )
-    beyond = np.maximum(worst - settings.sigma, 0.0)
-    chosen = choose(verdict, missed.get("goal", zero), beyond, costs)
-    return Judged(paths, check, missed, beyond <= 0.0, costs, chosen)
+    passing = worst <= settings.sigma
+    demanded = 4 * check.free + 2 * passing + 1 * check.executable
+    likeliest = particles.prior + target.weighted_sum(planned)
+    chosen = int(np.lexsort((-likeliest, demanded))[-1])
+    return Judged(paths, check, missed, passing, costs, chosen)

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from smp_gym.scene import Obstacle
 from smp_planner.costs import (
+    REFERENCE_STEPS,
     CollisionCost,
     Cost,
     JointLimitCost,
     SelfCollisionCost,
     VelocityLimitCost,
 )
-from smp_planner.library.mover import Check, ValueAndGradient
+from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
 from smp_planner.library.settings import AdaptSettings
 from smp_planner.occupancy.analytic import PackedObstacles
 from smp_planner.occupancy.occupancy_map import TRUNCATION
@@ -124,7 +125,10 @@ class Arm:
         if self.collision_cost is None or not self.collision_cost.summed_spheres:
             return np.zeros(len(trajectories)), np.zeros(trajectories.shape)
         value, gradient = self.collision_cost(trajectories, edge_width, margin)
-        scale = REFERENCE_SPHERES / self.collision_cost.summed_spheres
+        # `CollisionCost` has scaled the sum by the number of steps.
+        steps = trajectories.shape[1]
+        scale = steps_scale(steps) * steps / REFERENCE_STEPS
+        scale *= REFERENCE_SPHERES / self.collision_cost.summed_spheres
         return scale * value, scale * gradient
 
     def limits(self, trajectories: FloatArray) -> dict[str, tuple[float, ValueAndGradient]]:

@@ -35,7 +35,7 @@ def branches(primitive: ProMP, sites: Sequence[Site], particles: int) -> list[Br
 
     Args:
         primitive: the prior, in normalised coordinates.
-        sites: ascending in phase; those that are costs only are passed over.
+        sites: ascending in phase.
         particles: to be shared out.
     """
     found = [(primitive, 0.0)]
@@ -45,8 +45,6 @@ def branches(primitive: ProMP, sites: Sequence[Site], particles: int) -> list[Br
             for tied, weight in found
             for conditioned, evidence in site.condition(tied)
         ]
-        if not grown:
-            continue
         best = max(weight for _, weight in grown)
         found = [
             (tied, weight - best)

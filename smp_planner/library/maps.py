@@ -27,7 +27,7 @@ def exact_grid(obstacles: Sequence[Obstacle], workspace: Workspace) -> DistanceG
 
 
 def neural_grid(
-    obstacles: Sequence[Obstacle], workspace: Workspace, points: int, seed: int
+    obstacles: Sequence[Obstacle], workspace: Workspace, points: int, steps: int, seed: int
 ) -> DistanceGrid | None:
     """Return the distance to the surface that a network learned from labelled points, Eq. (12).
 
@@ -35,6 +35,7 @@ def neural_grid(
         obstacles: in coordinates in which 1 is about the size of the scene: m, or extents.
         workspace: lower and upper corner of the box that is learned.
         points: how many to learn from.
+        steps: of the training.
         seed: of points and training.
 
     Returns:
@@ -48,5 +49,5 @@ def neural_grid(
         return None
     rng = np.random.default_rng([seed, 2])
     drawn, labels = sample_labelled_points(obstacles, points, rng, workspace=workspace)
-    network = train_map(drawn, labels, inflation=INFLATION, seed=seed)
+    network = train_map(drawn, labels, inflation=INFLATION, steps=steps, seed=seed)
     return PointNetworkMap.of(network, workspace).grid

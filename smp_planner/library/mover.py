@@ -7,10 +7,21 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Check", "Mover", "ValueAndGradient"]
+from smp_planner.costs import REFERENCE_STEPS
+
+__all__ = ["Check", "Mover", "ValueAndGradient", "steps_scale"]
 
 FloatArray = NDArray[np.float64]
 ValueAndGradient = tuple[FloatArray, FloatArray]
+
+
+def steps_scale(steps: int) -> float:
+    """Return the factor that a sum over steps has, so that weights do not depend on their number.
+
+    The step from one to the next counts, not the steps: then a path among obstacles that its ends
+    are clear of costs the same however finely it is sampled. It is 1 for `costs.REFERENCE_STEPS`.
+    """
+    return (REFERENCE_STEPS - 1) / (steps - 1)
 
 
 class Check(NamedTuple):
@@ -37,7 +48,7 @@ class Mover(Protocol):
     ) -> ValueAndGradient:
         """Return the collision cost (P,) of Eq. (12) of paths (P, T, D), and its gradient.
 
-        Sums are scaled to `costs.REFERENCE_STEPS` steps.
+        Sums are scaled by `steps_scale`.
         """
         ...
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from smp_gym.scene import Obstacle
 from smp_planner.library.drawing import draw
@@ -38,7 +39,7 @@ class PathPlan:
             "goal", "via_points[0]" and so on; 0 within a box or tolerance.
         passing: (P,) whether nothing is missed by more than the settings' `sigma`.
         components: (P,) mode of the demonstrations that each particle belongs to.
-        chosen: index of the best particle.
+        chosen: index of the likeliest particle under the posterior, of the good ones if there are.
         timings: seconds of each stage by name.
         message: empty, or why no particle is good.
         demonstrations: N arrays (T_j, D) that the primitive was learned from.
@@ -89,9 +90,10 @@ class PathPlan:
 
     @cached_property
     def signatures(self) -> NDArray[np.int64]:
-        """(P, ...) how each path goes round the obstacles; see `smp_planner.modes`.
+        """(P, M) in the plane or (P, M, 2) in space: how each path goes round each obstacle.
 
-        Of a robot it is the tool's way that counts.
+        See `smp_planner.modes`; in space, over and under is along an obstacle's own z axis, and of
+        a robot it is the tool's way that counts.
 
         Raises:
             ValueError: the paths are neither in the plane nor in space.
@@ -103,11 +105,14 @@ class PathPlan:
         if paths.shape[-1] != 3:
             raise ValueError(f"signatures need paths in the plane or in space, got {paths.shape}")
         solid = [o for o in self.obstacles if isinstance(o, Obstacle)]
+        if not solid:
+            return np.empty((len(paths), 0, 2), np.int64)
         return signatures_3d(
             paths,
-            np.array([o.position for o in solid]).reshape(-1, 3),
+            np.array([o.position for o in solid]),
             np.array([o.size[2] for o in solid]),
             np.array([_radius(o) for o in solid]),
+            Rotation.from_quat([o.quaternion for o in solid]).apply((0.0, 0.0, 1.0)),
         )
 
     @cached_property

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from smp_gym.scene import Obstacle
-from smp_planner.costs import REFERENCE_STEPS
-from smp_planner.library.mover import Check, ValueAndGradient
+from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
 from smp_planner.occupancy.analytic import (
     PackedObstacles,
     signed_distance,
@@ -102,7 +101,7 @@ class Ball:
         occupancy = expit((self.radius + margin - distance) / edge_width)
         occupancy = occupancy.reshape(trajectories.shape[:2])
         away = away.reshape(*trajectories.shape[:2], 3)[..., : trajectories.shape[2]]
-        scale = REFERENCE_STEPS / trajectories.shape[1]
+        scale = steps_scale(trajectories.shape[1])
         slope = -2.0 * scale / edge_width * np.square(occupancy) * (1.0 - occupancy)
         return scale * np.square(occupancy).sum(axis=1), slope[..., None] * away
 

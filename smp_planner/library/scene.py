@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from smp_gym.scene import Obstacle
 from smp_planner.costs import CollisionCost
 from smp_planner.library.chain import Arm, robot_workspace
+from smp_planner.library.frame import Frame
 from smp_planner.library.maps import Workspace, exact_grid, neural_grid
 from smp_planner.library.mover import Mover
 from smp_planner.library.point import Ball, DistanceMap, exact_map, in_space
 from smp_planner.library.settings import AdaptSettings
 from smp_planner.library.shapes import PathObstacle, bodies
 from smp_planner.library.site import Place, PlaceSite, Site
-from smp_planner.library.sites import Frame
 from smp_planner.library.urdf import Robot
+from smp_planner.occupancy.grid import DistanceGrid
 
 __all__ = ["Scene"]
 
@@ -27,6 +28,9 @@ FloatArray = NDArray[np.float64]
 
 _SLACK = 0.25
 """Extents around demonstrations and sites that a learned map covers."""
+
+_LAYER = 0.05
+"""Extents that it covers above and below the plane in which paths are."""
 
 _LOOKS = 3
 """Points along each side of a box that are tried for a free one."""
@@ -57,11 +61,11 @@ class Scene:
         if robot is not None and radius > 0.0:
             raise ValueError(f"radius must be 0 for a robot, which has its own, got {radius}")
         self._frame, self._robot = frame, robot
-        self._radius = radius / frame.scale
+        self._radius = float(frame.lengths_inwards(radius))
         if robot is None:
-            self._bodies = bodies(obstacles, frame.dimension, frame.offset, frame.scale)
+            self._bodies = bodies(obstacles, frame)
         else:
-            self._bodies = bodies(obstacles, 3, np.zeros(3), 1.0)
+            self._bodies = bodies(obstacles, Frame(np.zeros(3), 1.0))
 
     def mover(
         self,
@@ -79,7 +83,7 @@ class Scene:
             sites: and where these are.
         """
         if self._robot is None:
-            corners = [self._frame.inwards(d) for d in demonstrations]
+            corners = [self._frame.inwards(d)[np.isfinite(d).all(axis=1)] for d in demonstrations]
             corners += [
                 np.stack([place.box.lower.numpy(), place.box.upper.numpy()])
                 for site in sites
@@ -108,7 +112,7 @@ class Scene:
                 if (self._clearance((body,), candidates[0]) <= 0.0).any()
             ]
             names = " and ".join(f"obstacles[{index}]" for index in touched) or "the robot itself"
-            middle = self._frame.outwards(candidates[0].mean(axis=0)).tolist()
+            middle = self._frame.named(candidates[0].mean(axis=0))
             raise ValueError(f"{site.name} {middle} is inside or touches {names}")
 
     def _clearance(self, obstacles: tuple[Obstacle, ...], points: FloatArray) -> FloatArray:
@@ -127,9 +131,17 @@ class Scene:
         if settings.map == "exact":
             return exact_map(self._bodies)
         covered = in_space(np.concatenate(corners)[None])[0]
-        workspace: Workspace = (covered.min(axis=0) - _SLACK, covered.max(axis=0) + _SLACK)
-        grid = neural_grid(self._bodies, workspace, settings.map_points, seed)
+        slack = np.full(3, _SLACK)
+        slack[self._frame.dimension :] = _LAYER
+        workspace = covered.min(axis=0) - slack, covered.max(axis=0) + slack
+        grid = self._learned(workspace, settings, seed)
         return None if grid is None else grid.query_with_gradient
+
+    def _learned(
+        self, workspace: Workspace, settings: AdaptSettings, seed: int
+    ) -> DistanceGrid | None:
+        points, steps = settings.map_points, settings.map_steps
+        return neural_grid(self._bodies, workspace, points, steps, seed)
 
     def _arm(self, settings: AdaptSettings, seed: int) -> Arm:
         assert self._robot is not None
@@ -139,7 +151,7 @@ class Scene:
         if workspace is not None and settings.map == "exact":
             grid = exact_grid(self._bodies, workspace)
         elif workspace is not None:
-            grid = neural_grid(self._bodies, workspace, settings.map_points, seed)
+            grid = self._learned(workspace, settings, seed)
         cost = None if grid is None else CollisionCost(model, grid)
         return Arm(model, self._bodies, cost, settings)
 

@@ -46,6 +46,7 @@ class AdaptSettings(BaseModel):
         map: "exact" asks the obstacles themselves; "neural" trains a network from labelled points
             of the scene, the paper's way (Eq. (12)), which takes seconds.
         map_points: how many points "neural" learns from.
+        map_steps: of its training.
         planning_steps: steps of phase at which costs are evaluated.
         samples: T of the trajectories that are returned.
         obstacle_weight: λ of Eq. (12), for sums scaled to `costs.REFERENCE_STEPS` steps, and for a
@@ -54,8 +55,9 @@ class AdaptSettings(BaseModel):
         edge_width: same unit, width of the map's edge in the first and the last iteration.
         sigma: extents (m for a tool), tails of boxes and standard deviation of points that are not
             conditioned on; what misses its place by no more has passed it.
-        modulation: "exact" conditions the primitive on points in closed form, "likelihood" leaves
-            them to their costs, the paper's way (Eq. (13)). Boxes always are costs (Eq. (14)).
+        modulation: "exact" conditions the primitive in closed form on points and on the Gaussians
+            of boxes, before costs narrow them down; "likelihood" leaves all to the costs, the
+            paper's way (Eq. (13) and (14)).
         self_collision_weight: of a robot's spheres among each other.
         velocity_weight: of the excess over a robot's velocity limits.
         limit_weight: of the excess over a robot's joint limits.
@@ -66,7 +68,8 @@ class AdaptSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     map: Literal["exact", "neural"] = "exact"
-    map_points: int = Field(default=50_000, ge=100)
+    map_points: int = Field(default=20_000, ge=100)
+    map_steps: int = Field(default=2000, ge=1)
     planning_steps: int = Field(default=50, ge=10)
     samples: int = Field(default=200, ge=2)
     obstacle_weight: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.scene import Obstacle
+from smp_planner.library.frame import Frame
 
 __all__ = ["Circle", "PathObstacle", "Rectangle", "bodies", "outline"]
 
@@ -73,24 +74,21 @@ PathObstacle = Circle | Rectangle | Obstacle
 """What a path must not touch: `Circle` and `Rectangle` in the plane, `Obstacle` in space."""
 
 
-def bodies(
-    obstacles: Sequence[PathObstacle], dimension: int, offset: FloatArray, scale: float
-) -> tuple[Obstacle, ...]:
-    """Return obstacles as bodies in the coordinates (x - offset) / scale.
+def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, ...]:
+    """Return obstacles as bodies in normalised coordinates.
 
     A path in the plane runs at z = 0 among upright columns, so that distances are those of the
     plane.
 
     Args:
         obstacles: in the unit of the path.
-        dimension: D of the path.
-        offset: (D,) same unit.
-        scale: same unit.
+        frame: of the path.
 
     Raises:
         ValueError: an obstacle of another dimension than the path, or a path of neither two nor
             three dimensions.
     """
+    dimension = frame.dimension
     if obstacles and dimension not in (2, 3):
         raise ValueError(
             f"obstacles need a path in the plane or in space, or a robot; got D = {dimension}"
@@ -104,25 +102,25 @@ def bodies(
                 f"obstacles[{index}] of a path with D = {dimension} must be {names}, "
                 f"got {obstacle!r}"
             )
-        placed.append(_body(obstacle, offset, scale))
+        placed.append(_body(obstacle, frame))
     return tuple(placed)
 
 
-def _body(obstacle: PathObstacle, offset: FloatArray, scale: float) -> Obstacle:
+def _body(obstacle: PathObstacle, frame: Frame) -> Obstacle:
     if isinstance(obstacle, Obstacle):
         return Obstacle(
             shape=obstacle.shape,
-            position=_triple((np.array(obstacle.position) - offset) / scale),
+            position=_triple(frame.inwards(obstacle.position)),
             quaternion=obstacle.quaternion,
-            size=_triple(np.array(obstacle.size) / scale),
+            size=_triple(frame.lengths_inwards(obstacle.size)),
         )
-    position = _triple([*(np.array(obstacle.center) - offset) / scale, 0.0])
+    position = _triple([*frame.inwards(obstacle.center), 0.0])
     if isinstance(obstacle, Circle):
-        radius = obstacle.radius / scale
+        radius = float(frame.lengths_inwards(obstacle.radius))
         return Obstacle(
             shape="cylinder", position=position, size=(radius, radius, max(radius, _DEPTH))
         )
-    x, y = obstacle.half_extents[0] / scale, obstacle.half_extents[1] / scale
+    x, y = frame.lengths_inwards(obstacle.half_extents).tolist()
     half = obstacle.angle / 2
     return Obstacle(
         shape="box",

@@ -28,6 +28,9 @@ TOLERANCE_STDS = 3.0
 _CERTAIN = 1e-6
 """Extents, standard deviation that evidence is computed with where a primitive has none."""
 
+_ROUNDING = 1e-9
+"""Extents by which a point may be missed that was met."""
+
 
 class Site(Protocol):
     """What a path shall be near to at one phase; any of its places will do."""
@@ -51,7 +54,7 @@ class Site(Protocol):
         ...
 
     def condition(self, primitive: ProMP) -> list[tuple[ProMP, float]]:
-        """Return the posterior for each place with its log-evidence; none if it is a cost only."""
+        """Return the posterior for each place with its log-evidence."""
         ...
 
 
@@ -61,7 +64,7 @@ class Place:
 
     Attributes:
         box: where the cost is zero, and its tails.
-        point: (D,) that a primitive can be conditioned on; None for a box.
+        point: (D,) to be passed; None for a box.
         tolerance: distance from the point that may remain.
         share: π_h.
     """
@@ -77,14 +80,20 @@ class Place:
             outside = self.box.distance(torch.from_numpy(np.ascontiguousarray(points))).numpy()
             return np.asarray(np.linalg.norm(outside, axis=-1))
         distance = np.linalg.norm(points - self.point, axis=-1)
-        return np.asarray(np.maximum(distance - self.tolerance, 0.0))
+        return np.where(distance <= self.tolerance + _ROUNDING, 0.0, distance - self.tolerance)
 
     def condition(self, primitive: ProMP, phase: float) -> tuple[ProMP, float]:
-        """Return the posterior after the point was observed, and the log of share and density."""
-        assert self.point is not None
-        value = torch.from_numpy(self.point)
-        variance = (self.tolerance / TOLERANCE_STDS) ** 2
-        noise = torch.full((primitive.dimension,), variance, dtype=torch.float64)
+        """Return the posterior after the place was observed, and the log of share and density.
+
+        A box is observed as the Gaussian that has its moments: its middle, a third of its squared
+        half extents and the variance of its tails.
+        """
+        if self.point is None:
+            value = (self.box.lower + self.box.upper) / 2
+            noise = ((self.box.upper - self.box.lower) / 2).square() / 3 + self.box.variance
+        else:
+            value = torch.from_numpy(self.point)
+            noise = torch.full_like(value, (self.tolerance / TOLERANCE_STDS) ** 2)
         mean, covariance = primitive.marginal(phase)
         density = torch.distributions.MultivariateNormal(
             mean, covariance + torch.diag(noise + _CERTAIN**2)
@@ -106,11 +115,6 @@ class PlaceSite:
     name: str
     phase: float
     places: tuple[Place, ...]
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether a primitive can be conditioned on it: all its places are points."""
-        return all(place.point is not None for place in self.places)
 
     def missed(self, points: FloatArray) -> FloatArray:
         """Return by how much (P,) points (P, D) miss the nearest place."""
@@ -137,9 +141,7 @@ class PlaceSite:
         return -torch.logsumexp(logits, dim=0).numpy(), gradient.numpy()
 
     def condition(self, primitive: ProMP) -> list[tuple[ProMP, float]]:
-        """Return the posterior for each place; none if one of them is a box."""
-        if not self.is_exact:
-            return []
+        """Return the posterior for each place with its log-evidence."""
         return [place.condition(primitive, self.phase) for place in self.places]
 
 

@@ -11,13 +11,14 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.site import Place, PlaceSite, Site, ToolSite
 from smp_planner.movement_primitives.box_prior import SmoothBox
 from smp_planner.problem import GoalRegion
 from smp_planner.robot_model import RobotModel
 
-__all__ = ["Frame", "Wanted", "sites_of"]
+__all__ = ["Wanted", "sites_of"]
 
 FloatArray = NDArray[np.float64]
 Wanted = ArrayLike | Box | GoalRegion | AnyOf
@@ -28,31 +29,6 @@ TOLERANCE_SHARE = 0.8
 
 _SAME = 1e-9
 """Difference of phases, and extents, up to which two are the same."""
-
-
-class Frame:
-    """The coordinates in which paths are adapted: (x - offset) / scale.
-
-    Args:
-        offset: (D,) in the unit of the path.
-        scale: same unit, positive.
-    """
-
-    def __init__(self, offset: FloatArray, scale: float) -> None:
-        self.offset, self.scale = offset, scale
-
-    @property
-    def dimension(self) -> int:
-        """D."""
-        return len(self.offset)
-
-    def inwards(self, points: ArrayLike) -> FloatArray:
-        """Return points (..., D) in normalised coordinates."""
-        return (np.asarray(points, np.float64) - self.offset) / self.scale
-
-    def outwards(self, points: ArrayLike) -> FloatArray:
-        """Return normalised points (..., D) in the unit of the path."""
-        return np.asarray(points, np.float64) * self.scale + self.offset
 
 
 def sites_of(
@@ -121,9 +97,13 @@ def _tool_site(
 
 
 def _place_site(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> PlaceSite:
+    options, shares = _options(wanted)
+    for option in options:
+        if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
+            raise ValueError(f"{name} must be a point, a Box or AnyOf of such, got {option!r}")
     places = [
         _place(name, frame, option, share, sigma)
-        for option, share in zip(*_options(wanted), strict=True)
+        for option, share in zip(options, shares, strict=True)
     ]
     return PlaceSite(name, phase, tuple(places))
 
@@ -132,12 +112,12 @@ def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> 
     paper_scale, tolerance, point = False, 0.0, None
     if isinstance(wanted, Box):
         if wanted.sigma is not None:
-            sigma = wanted.sigma / frame.scale
+            sigma = float(frame.lengths_inwards(wanted.sigma))
         paper_scale = wanted.paper_scale
         lower, upper = wanted.lower, wanted.upper
     else:
         if isinstance(wanted, ViaPoint):
-            tolerance = wanted.tolerance / frame.scale
+            tolerance = float(frame.lengths_inwards(wanted.tolerance))
             wanted = wanted.position
         point = lower = upper = np.asarray(wanted, np.float64)
     if lower.shape != (frame.dimension,):
@@ -167,7 +147,7 @@ def _refuse_contradiction(frame: Frame, first: PlaceSite, second: PlaceSite) -> 
             if np.linalg.norm(a.point - b.point) <= a.tolerance + b.tolerance + _SAME:
                 return
     points = [site.places[0].point for site in (first, second)]
-    places = " and ".join(str(frame.outwards(p).tolist()) for p in points if p is not None)
+    places = " and ".join(frame.named(p) for p in points if p is not None)
     raise ValueError(
         f"{first.name} and {second.name} contradict each other at phase {first.phase}: no path "
         f"passes {places} at once; for a choice of places use AnyOf"

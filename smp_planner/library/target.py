@@ -68,6 +68,14 @@ class SceneTarget:
         width = first * (last / first) ** progress
         return self.mover.collision(trajectories, width, self.settings.margin)[1]
 
+    def weighted_sum(self, trajectories: FloatArray) -> FloatArray:
+        """Return the weighted sum (P,) of costs, with the map's edge at its last width."""
+        width, margin = self.settings.edge_width[1], self.settings.margin
+        total = self.settings.obstacle_weight * self.mover.collision(trajectories, width, margin)[0]
+        for weight, (value, _) in self._terms(trajectories).values():
+            total = total + weight * value
+        return total
+
     def costs(self, trajectories: FloatArray) -> dict[str, FloatArray]:
         """Return the unweighted costs (P,) by name, with the map's edge at its last width."""
         width = self.settings.edge_width[1]

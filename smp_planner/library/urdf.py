@@ -108,6 +108,12 @@ class Robot:
             raise ValueError(f"{file} is not a URDF: its root is <{root.tag}>, not <robot>")
         links = {link.get("name", ""): link for link in root.findall("link")}
         joints = [_read_joint(element) for element in root.findall("joint")]
+        for joint in joints:
+            for end in (joint.parent, joint.child):
+                if end not in links:
+                    raise ValueError(
+                        f"joint {joint.name!r} names the link {end!r}, which is not there"
+                    )
         if tip not in links:
             raise ValueError(f"tip must be one of {', '.join(links)}; got {tip!r}")
         held = dict(held or {})
@@ -228,6 +234,9 @@ def _assembled(
                 at = held.get(joint.name, min(max(0.0, joint.lower), joint.upper))
                 placed[joint.child] = index, pose @ joint.held_at(at)
             waiting.append(joint.child)
+    if len(placed) != len(links):
+        apart = ", ".join(sorted(set(links) - set(placed)))
+        raise ValueError(f"{file} has links that are not joined to its root: {apart}")
     link, spheres = [], []
     for name, (index, pose) in placed.items():
         for sphere in _link_spheres(file, links[name], cell):

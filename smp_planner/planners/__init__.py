@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from smp_gym.demonstrations import Demonstrations
+from smp_gym.scene import TASKS
 from smp_planner.planners.base import PlannerModel
 from smp_planner.planners.cpromp import CProMPPlanner
 from smp_planner.planners.promp import ProMPPlanner
@@ -37,20 +38,45 @@ _FREEDOM: dict[str, dict[str, Any]] = {
     "PushLiftBox": {"smooth_std": 0.6, "retries": 2},
 }
 
+_FIRM = {"obstacle_weight": 30.0, "margin": 0.02, "iterations": 400}
+_ROOMY = {"obstacle_weight": 30.0, "margin": 0.03, "rounds": 16}
+
+_OWN: dict[tuple[str, str], dict[str, Any]] = {
+    ("smp", "DrawS"): {
+        "smooth_length_scale": 0.1,
+        "basis_functions": 25,
+        "via_share": 0.25,
+        "retries": 4,
+    },
+    ("smp", "PushLiftBox"): {"obstacle_weight": 20.0, "iterations": 70},
+    ("cpromp", "Placement"): _FIRM,
+    ("cpromp", "DrawS"): {"via_share": 0.25},
+    ("cpromp", "PushLiftBox"): _FIRM,
+    ("prompt_o", "Placement"): _ROOMY,
+    ("prompt_o", "DoubleSidedPlacement"): {"obstacle_weight": 3.0},
+    ("prompt_o", "DrawS"): {"via_share": 0.0, "obstacle_weight": 30.0},
+    ("prompt_o", "PushLiftBox"): _ROOMY,
+    ("promp_diff", "Placement"): {"fit_std": 0.05},
+    ("promp_diff", "PushLiftBox"): {"fit_std": 0.05},
+}
+
 TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
-    (method, task): freedom for task, freedom in _FREEDOM.items() for method in _ADAPTING
-} | {
-    ("smp", "DrawS"): {**_FREEDOM["DrawS"], "via_share": 0.25, "retries": 4},
-    ("smp", "PushLiftBox"): {**_FREEDOM["PushLiftBox"], "obstacle_weight": 20.0, "iterations": 70},
+    (method, task): settings
+    for method in _ADAPTING
+    for task in TASKS
+    if (settings := {**_FREEDOM.get(task, {}), **_OWN.get((method, task), {})})
 }
 """Settings that a method (first) has for a task (second) in place of its own defaults.
 
 Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
-it needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
-way, so the ways before and after it are short and must bend more sharply, too; fewer iterations do
-then."""
+it needs more freedom, and obstacles that outweigh what holds it. `smp` also has freedom of half the
+length scale, over a finer basis than the paper's 15 functions; the baselines, whose draws keep the
+spread of the prior wherever it is not needed, have not. A push holds the middle of the way, so the
+ways before and after it are short and must bend more sharply, too; fewer iterations do then.
+
+What the baselines have of their own is the best of what `scripts/tune_baselines.py` tries."""
 
 
 def make_planner(

@@ -9,10 +9,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from torch import Tensor
 
 from smp_gym.kinematics import UnreachableError
 from smp_planner.adaptation import Adaptation
 from smp_planner.planners.base import (
+    SAMPLES,
     Particles,
     PlannerModel,
     PlannerSettings,
@@ -21,6 +23,7 @@ from smp_planner.planners.base import (
 )
 from smp_planner.planners.likelihood import Likelihood, LikelihoodSettings
 from smp_planner.problem import Plan, Problem
+from smp_planner.robot_model import RobotModel
 
 __all__ = ["AdaptingPlanner", "AdaptingSettings"]
 
@@ -63,7 +66,7 @@ class AdaptingPlanner(PlannerModel):
                     raise
                 break
             with stopwatch.stage("inference"):
-                particles = [self._adapted(problem, part, likelihood) for part in drawn]
+                particles = [self._adapted(problem, robot, part, likelihood) for part in drawn]
                 costs = self._costs(particles, likelihood)
             plan = self.plan_of(problem, robot, particles, costs, stopwatch)
             if best is None or plan.good.any() > best.good.any():
@@ -73,9 +76,17 @@ class AdaptingPlanner(PlannerModel):
         assert best is not None
         return replace(best, timings=stopwatch.timings)
 
-    def _adapted(self, problem: Problem, drawn: Particles, likelihood: Likelihood) -> Particles:
+    def _adapted(
+        self, problem: Problem, robot: RobotModel, drawn: Particles, likelihood: Likelihood
+    ) -> Particles:
+        primitive = drawn.tied.primitive
         rng = np.random.default_rng([problem.seed, 3, drawn.component])
-        latent = self.settings.adapt(drawn.tied.primitive, drawn.latent, likelihood, rng)
+
+        def good(latent: Tensor) -> NDArray[np.bool_]:
+            trajectories = primitive.trajectory(primitive.unwhiten(latent), SAMPLES).numpy()
+            return self.good(problem, robot, trajectories)
+
+        latent = self.settings.adapt(primitive, drawn.latent, likelihood, rng, good)
         return replace(drawn, latent=latent)
 
     def _costs(

@@ -18,13 +18,20 @@ from torch import Tensor
 from smp_gym.demonstrations import Demonstrations
 from smp_gym.kinematics import UnreachableError
 from smp_planner.movement_primitives import (
+    GaussianBasis,
     ProMP,
     ProMPMixture,
     demonstrated_modes,
     smooth_covariance,
 )
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.planners.judging import choose, goal_distance, missed_via_points
+from smp_planner.planners.judging import (
+    REACHED,
+    goal_distances,
+    missed_via_points,
+    rank,
+    signatures,
+)
 from smp_planner.planners.tying import TiedPrimitive, tie_primitive
 from smp_planner.problem import Plan, Problem, ViaPoint
 from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
@@ -33,6 +40,7 @@ from smp_planner.verification import Verification, check_collisions, verify
 __all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "one_thread"]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 SAMPLES = 200
 """T of the trajectories in a plan, as in the demonstrations."""
@@ -44,6 +52,9 @@ class PlannerSettings(BaseModel):
     Attributes:
         particles: P, size of the set.
         smooth_std: rad, freedom added to what the demonstrations teach; see `ProMP.fit`.
+        smooth_length_scale: of that freedom, l in phase. Trajectories come out smoother than their
+            weights: away from the ends as if it were sqrt(l^2 + 2 / (K - 3)^2).
+        basis_functions: K of the primitive, 1 / (K - 3) of the phase apart.
         duration_limit: s, within which an executable trajectory must be feasible.
     """
 
@@ -51,6 +62,8 @@ class PlannerSettings(BaseModel):
 
     particles: int = Field(default=42, ge=1)
     smooth_std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    basis_functions: int = Field(default=15, ge=4)
     duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
 
 
@@ -118,16 +131,24 @@ class PlannerModel(ABC):
         self.demonstrations = demonstrations
         self.settings = self.Settings() if settings is None else settings
         self.primitive = ProMP.fit(
-            np.array(demonstrations.configurations), smooth_std=self.settings.smooth_std
+            np.array(demonstrations.configurations),
+            GaussianBasis(self.settings.basis_functions),
+            smooth_std=self.settings.smooth_std,
+            smooth_length_scale=self.settings.smooth_length_scale,
         )
         self.mixture = self._learn_mixture()
 
     def _learn_mixture(self) -> ProMPMixture:
         configurations = list(np.array(self.demonstrations.configurations))
-        modes = demonstrated_modes(configurations)
+        modes = demonstrated_modes(configurations, self.primitive.basis)
         if len(modes) == 1:
             return ProMPMixture((self.primitive,), torch.ones(1))
-        return ProMPMixture.fit(configurations, smooth_std=self.settings.smooth_std)
+        return ProMPMixture.fit(
+            configurations,
+            self.primitive.basis,
+            smooth_std=self.settings.smooth_std,
+            smooth_length_scale=self.settings.smooth_length_scale,
+        )
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""
@@ -163,7 +184,9 @@ class PlannerModel(ABC):
             return primitive
         added = self.settings.smooth_std * np.sqrt(width**2 - 1.0)
         return primitive.broaden(
-            smooth_covariance(primitive.basis, primitive.dimension, added, 0.2)
+            smooth_covariance(
+                primitive.basis, primitive.dimension, added, self.settings.smooth_length_scale
+            )
         )
 
     def draw(
@@ -248,6 +271,13 @@ class PlannerModel(ABC):
             components=components,
         )
 
+    def good(self, problem: Problem, robot: RobotModel, trajectories: FloatArray) -> BoolArray:
+        """Return which of (P, T, D) trajectories, rad, are good and reach the goal, (P,)."""
+        verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
+        passing = missed_via_points(problem, robot, trajectories) <= 0.0
+        reaching = goal_distances(problem, robot, trajectories[:, -1]).min(axis=0) < REACHED
+        return verdict.collision_free & verdict.executable & passing & reaching
+
     def judge(
         self,
         problem: Problem,
@@ -274,9 +304,11 @@ class PlannerModel(ABC):
         """
         with stopwatch.stage("verification"):
             verdict = _verified(trajectories, robot, problem, self.settings.duration_limit)
-            goal_error = goal_distance(problem, robot, trajectories[:, -1])
+            distances = goal_distances(problem, robot, trajectories[:, -1])
+            goal_error = distances.min(axis=0)
             missed = missed_via_points(problem, robot, trajectories)
-            chosen = choose(verdict, goal_error, missed, costs)
+            ranks = rank(verdict, goal_error, missed, costs)
+            ways = signatures(problem, robot, trajectories, distances.argmin(axis=0))
         free, executable, passing = verdict.collision_free, verdict.executable, missed <= 0.0
         message = ""
         if not (free & executable & passing).any():
@@ -294,11 +326,13 @@ class PlannerModel(ABC):
             goal_error=goal_error,
             duration=verdict.duration,
             executable=executable,
-            chosen=chosen,
+            chosen=int(ranks.argmin()),
             timings=stopwatch.timings,
             message=message,
             components=components,
             passing=passing,
+            signatures=ways,
+            ranks=ranks,
         )
 
 

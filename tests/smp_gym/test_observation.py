@@ -7,10 +7,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import smp_gym  # noqa: F401
 from smp_gym.observation import (
     MAX_EPISODE_STEPS,
+    Encoder,
     ObjectState,
     RobotState,
     decode,
-    encode,
     observation_space,
 )
 from smp_gym.scene import TASKS, Goal, ManipulatedObject, Obstacle, Scene
@@ -66,7 +66,7 @@ def draw(seed, elapsed=0):
         "released": 0.0,
         "at_rest": 1.0,
     }
-    return scene, robot, manipulated, encode(scene, robot, manipulated, achieved, elapsed)
+    return scene, robot, manipulated, Encoder(scene).encode(robot, manipulated, achieved, elapsed)
 
 
 def close(a, b):
@@ -102,7 +102,7 @@ def test_values_beyond_the_bounds_are_clipped_into_them():
     scene, robot, manipulated, _ = draw(0)
     flying = ObjectState(**{**vars(manipulated), "linear_velocity": np.full(3, 1e6)})
     achieved = {"object_position": (9, 9, 9), "collided": 0, "released": 0, "at_rest": 0}
-    assert SPACE.contains(encode(scene, robot, flying, achieved, 0))
+    assert SPACE.contains(Encoder(scene).encode(robot, flying, achieved, 0))
 
 
 def changed(key, index, value):

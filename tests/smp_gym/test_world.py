@@ -204,6 +204,28 @@ def test_a_picture_shows_the_body_where_the_camera_looks(world):
     assert not ((away[..., 0] > 1.5 * away[..., 1]) & (away[..., 0] > 60)).any()
 
 
+def test_obstacles_stop_a_block_alike_whether_seen_or_not():
+    shapes = [
+        box(0.1, 0.1, 0.1, position=(0.0, 0.0, 0.1)),
+        Obstacle(shape="cylinder", position=(1.0, 0.0, 0.1), size=(0.1, 0.1, 0.1)),
+        Obstacle(shape="sphere", position=(2.0, 0.0, 0.1), size=(0.1, 0.1, 0.1)),
+    ]
+    fallen = []
+    for seen in (True, False):
+        world = BulletWorld(seen=seen)
+        world.reserve_obstacles()
+        arrange(world, shapes)
+        for x in range(3):
+            at = (x + 0.01, 0.0, 0.26)
+            world.add_body(f"block{x}", [box(0.05, 0.05, 0.05)], color=GREY, mass=1.0, position=at)
+        for _ in range(60):
+            world.step()
+        assert world.contacts() == {(f"block{x}", f"obstacle_{x}") for x in range(3)}
+        fallen.append(np.concatenate([np.hstack(world.pose(f"block{x}")) for x in range(3)]))
+        world.close()
+    np.testing.assert_array_equal(*fallen)
+
+
 def test_closing_twice_is_harmless():
     world = BulletWorld()
     assert not world.closed

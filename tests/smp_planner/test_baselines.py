@@ -57,8 +57,8 @@ def test_good_particles_are_found_where_plain_draws_have_none(name, plans):
     assert not any(control.good.any() for control in plans["promp"])
     solved = [bool(plan.good[plan.chosen]) for plan in plans[name]]
     assert sum(solved) >= len(SEEDS) - 1
-    for plan, control in zip(plans[name], plans["promp"], strict=True):
-        assert np.median(plan.clearance) > np.median(control.clearance)
+    freed, unadapted = (np.mean([p.collision_free for p in plans[n]]) for n in (name, "promp"))
+    assert freed > unadapted + 0.02
 
 
 def latents(name, plan, problem):

@@ -11,7 +11,7 @@ from smp_gym.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.kinematics import PEN_TIP, UnreachableError
 from smp_gym.observation import decode
-from smp_gym.sampling import sample_scene
+from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import STROKE_POINTS, Obstacle
 from smp_gym.strokes import pen_path
 from smp_planner.movement_primitives import ProMP
@@ -174,13 +174,53 @@ def test_settings_of_a_task_give_way_to_those_that_are_given():
     assert (made.settings.smooth_std, made.settings.via_share) == (0.3, 0.25)
 
 
+@pytest.mark.parametrize(("functions", "length_scale"), [(15, 0.2), (25, 0.1)])
+def test_what_is_added_bends_as_sharply_as_its_length_scale_says(functions, length_scale):
+    settings = {"basis_functions": functions, "smooth_length_scale": length_scale}
+    narrow, wide = (
+        make_planner("promp", "DrawS", settings={**settings, "smooth_std": std}).primitive
+        for std in (0.3, 0.5)
+    )
+    # The learned part is in both. A convolution with the bump adds its variance at either end.
+    place = (wide.marginal(0.5)[1] - narrow.marginal(0.5)[1]).diagonal()
+    slope = wide.marginal(0.5, derivative=True)[1] - narrow.marginal(0.5, derivative=True)[1]
+    bends = np.sqrt(length_scale**2 + 2.0 / (functions - 3) ** 2)
+    np.testing.assert_allclose(place, 0.5**2 - 0.3**2, rtol=1e-6)
+    np.testing.assert_allclose((place / slope.diagonal()).sqrt(), bends, rtol=0.02)
+
+
+def test_widening_a_primitive_equals_learning_it_wider(problem):
+    robot, settings = jaco_with(problem), {"smooth_length_scale": 0.1, "basis_functions": 25}
+    narrow, wide = (
+        make_planner("promp", "DrawS", settings={**settings, "smooth_std": std})
+        for std in (0.2, 0.4)
+    )
+    widened, learned = narrow.tie(problem, robot, 2.0).primitive, wide.tie(problem, robot).primitive
+    torch.testing.assert_close(widened.covariance, learned.covariance, rtol=0.0, atol=1e-8)
+    torch.testing.assert_close(widened.mean, learned.mean, rtol=0.0, atol=1e-6)
+
+
+def test_bends_between_checkpoints_and_obstacles_need_the_finer_basis(env):
+    scene = place_without_witness("DrawS", "medium", 20064)
+    observation, _ = env.reset(options={"scene": scene})
+    coarse = {"retries": 0, "basis_functions": 15, "smooth_length_scale": 0.2}
+    good = []
+    for settings in ({"retries": 0}, coarse):
+        policy = PlannerPolicy.make("smp", "DrawS", settings=settings)
+        good.append(policy.predict(observation)[1][0].plan.good.mean())
+    assert good[0] >= 0.3
+    assert good[1] == 0.0
+
+
 def test_a_retry_so_wide_that_it_misses_the_goal_ends_the_tries(env, demonstrations):
     scene = sample_scene("DrawS", "easy", 1)
     x, y, z = scene.goals[0].position
     wall = Obstacle(shape="box", position=(x, y, z + 0.1), size=(0.06, 0.06, 0.1))
     observation, _ = env.reset(options={"scene": scene.model_copy(update={"obstacles": (wall,)})})
     problem = problem_from(decode(observation, "DrawS"), 0, checkpoint_phases(demonstrations))
-    planner = make_planner("smp", "DrawS", settings={"iterations": 2, "particles": 4, "retries": 7})
+    stiff = {"basis_functions": 15, "smooth_length_scale": 0.2}
+    quick = {"iterations": 2, "particles": 4, "retries": 7}
+    planner = make_planner("smp", "DrawS", settings={**stiff, **quick})
     with pytest.raises(UnreachableError):
         planner.draw(problem, jaco_with(problem), 2.0**7, through=problem.via_points)
     (plan,) = planner.plan([problem])

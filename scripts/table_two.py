@@ -1,0 +1,89 @@
+"""Measure Table II of the paper: four scenes, all methods, every trajectory executed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from smp_gym.assets import asset_path
+from smp_gym.scene import TASKS
+from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.row_file import ResultsError
+from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
+from smp_planner.benchmark.table_two import figure, repetitions, report, running, scenes
+
+app = typer.Typer(add_completion=False)
+
+_CHOOSING = ("promp_diff", "prompt_o", "cpromp", "smp")
+
+_Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+
+
+@app.command()
+def run(
+    out: _Out = Path("results/table_two"),
+    tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    methods: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    repetitions_: Annotated[
+        int, typer.Option("--repetitions", min=1, help="Of each task and method.")
+    ] = 20,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+) -> None:
+    """Play what the folder does not hold yet, then write tables and figure.
+
+    After an interruption the same command continues where it stopped.
+    """
+    keys = running.keys_of(
+        chosen_names(tasks, TASKS, "--tasks"),
+        chosen_names(methods, repetitions.METHODS, "--methods"),
+        repetitions_,
+    )
+    console = Console()
+    columns = (TextColumn("repetitions"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    try:
+        with Progress(*columns, console=console) as progress:
+            bar = progress.add_task("repetitions", total=len(keys))
+            running.run(
+                keys,
+                out,
+                jobs=jobs,
+                on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
+            )
+    except ResultsError as error:
+        raise typer.BadParameter(str(error), param_hint="--out") from error
+    except (WorkerDiedError, EpisodeFailedError) as error:
+        console.print(f"error: {error}", style="red")
+        raise typer.Exit(1) from error
+    show(out)
+
+
+@app.command()
+def show(out: _Out = Path("results/table_two")) -> None:
+    """Write tables and figure of what a folder holds, finished or not."""
+    rows = running.read(out)
+    if not rows:
+        raise typer.BadParameter(f"{str(out)!r} holds no repetitions", param_hint="--out")
+    summary = report.write_report(rows, out)
+    figure.draw_table(summary, out / "table_two.png")
+    console = Console()
+    for name in ("trajectories.csv", "repetitions.csv", "summary.json", "table_two.md"):
+        console.print(f"wrote {out / name}", soft_wrap=True)
+    console.print(f"wrote {out / 'table_two.png'}", soft_wrap=True)
+
+
+@app.command()
+def choose() -> None:
+    """Choose the scenes anew by their rule, and write them into the packaged data."""
+    chosen = [scenes.choose_scene(task, _CHOOSING) for task in TASKS]
+    path = asset_path("experiments") / scenes.SCENES_FILE
+    scenes.write_scenes(chosen, path)
+    for scene in chosen:
+        Console().print(f"{scene.task}: seed {scene.seed}")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,1 @@
+"""Table II of the paper: one scene of each task, many repetitions, every particle executed."""

@@ -1,0 +1,116 @@
+"""Stein's way to adapt a primitive, on a target with a closed form: when it may stop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from smp_planner.adaptation import Stein
+from smp_planner.inference import SETTINGS, State, SVGDSettings, converged
+from smp_planner.movement_primitives import GaussianBasis, ProMP, smooth_covariance
+
+STEPS = 30
+
+
+class Attractor:
+    """Draws the middle of a path to one point, as an observation with standard deviation 0.1."""
+
+    steps = STEPS
+    pins = np.array([0.0, 1.0])
+
+    def __init__(self):
+        self.calls = 0
+
+    def gradient(self, trajectories, progress):
+        self.calls += 1
+        gradient = np.zeros_like(trajectories)
+        gradient[:, STEPS // 2] = (trajectories[:, STEPS // 2] - 0.3) / 0.1**2
+        return gradient
+
+    def obstacle_gradient(self, trajectories, progress):
+        return np.zeros_like(trajectories)
+
+
+class Verdict:
+    """Says of a given share of the particles that they are good, and keeps what it is asked."""
+
+    def __init__(self, share):
+        self.share, self.asked = share, []
+
+    def __call__(self, latent):
+        self.asked.append(latent.clone())
+        return np.arange(len(latent)) < self.share * len(latent)
+
+
+@pytest.fixture(scope="module")
+def prior():
+    basis = GaussianBasis(9)
+    primitive = ProMP.from_covariance(
+        basis,
+        torch.zeros(18, dtype=torch.float64),
+        smooth_covariance(basis, 2, 0.3, 0.25),
+        torch.ones(2, dtype=torch.float64),
+    )
+    return primitive.condition(0.0, torch.zeros(2, dtype=torch.float64))
+
+
+def adapted(prior, way, good=None):
+    """Return the particles and how many iterations they took."""
+    target, generator = Attractor(), torch.Generator().manual_seed(0)
+    latent = torch.randn(40, prior.rank, generator=generator, dtype=torch.float64)
+    return way.adapt(prior, latent, target, np.random.default_rng(0), good), target.calls
+
+
+def test_a_run_has_converged_when_it_is_annealed_and_at_rest():
+    settings, zeros = SVGDSettings(iterations=10, annealing=0.7, tolerance=0.1), torch.zeros(2, 2)
+    assert not converged(State(zeros, None, 6), 0.0, settings)
+    assert not converged(State(zeros, None, 7), 0.1, settings)
+    assert converged(State(zeros, None, 7), 0.09, settings)
+    assert converged(State(zeros, None, 1), 0.09, replace(settings, annealing=0.0))
+
+
+@pytest.mark.parametrize("inference", ["default", "raw", "cyclic", "no_annealing"])
+def test_it_stops_once_the_particles_rest_and_enough_of_them_are_good(prior, inference):
+    way = Stein(inference=inference, early_stop=True, iterations=200)
+    whole, iterations = adapted(prior, way.model_copy(update={"early_stop": False}), Verdict(1.0))
+    assert iterations == 200
+    verdict = Verdict(0.9)
+    stopped, iterations = adapted(prior, way, verdict)
+    settings = SETTINGS[inference]
+    assert settings.annealing * 200 <= iterations < 200
+    assert len(verdict.asked) == 1
+    torch.testing.assert_close(stopped, verdict.asked[0])
+    # Each movement that is left out would have been smaller than the tolerance.
+    movement = (whole - stopped).square().mean(-1).sqrt().mean()
+    assert float(movement) < settings.tolerance * (200 - iterations)
+    middle = prior.trajectory(prior.unwhiten(stopped), STEPS)[:, STEPS // 2].mean(0)
+    exact = prior.condition(
+        (STEPS // 2) / (STEPS - 1), torch.full((2,), 0.3), torch.full((2,), 0.1**2)
+    ).marginal((STEPS // 2) / (STEPS - 1))[0]
+    torch.testing.assert_close(middle, exact, atol=0.02, rtol=0)
+
+
+def test_it_goes_on_to_the_end_if_too_few_are_good_and_asks_once(prior):
+    way = Stein(early_stop=True, good_share=0.9)
+    verdict = Verdict(0.8)
+    to_the_end, iterations = adapted(prior, way, verdict)
+    assert (iterations, len(verdict.asked)) == (100, 1)
+    without, _ = adapted(prior, Stein())
+    assert torch.equal(to_the_end, without)
+    few = Stein(early_stop=True, good_share=0.5)
+    assert adapted(prior, few, Verdict(0.8))[1] < 100
+
+
+def test_nobody_is_asked_unless_it_is_wanted(prior):
+    verdict = Verdict(1.0)
+    assert adapted(prior, Stein(), verdict)[1] == 100
+    assert verdict.asked == []
+    assert adapted(prior, Stein(early_stop=True))[1] == 100
+
+
+def test_a_share_or_a_tolerance_out_of_range_is_an_error():
+    with pytest.raises(ValueError, match="good_share"):
+        Stein(good_share=0.0)
+    with pytest.raises(ValueError, match="tolerance must be positive and finite, got 0"):
+        SVGDSettings(tolerance=0.0)
