@@ -97,7 +97,7 @@ def exact_draws(
     prior, frame = components[0], primitive.frame
     if scene.goal is not None:
         prior = prior.condition(1.0, torch.from_numpy(frame.inwards(scene.goal)))
-    placed = bodies(scene.obstacles, 2, frame.offset, frame.scale)
+    placed = bodies(scene.obstacles, frame)
     ball, width = Ball(placed, 0.0, exact_map(placed)), settings.edge_width[1]
     values = prior.basis.values(phases(settings.planning_steps))
 
