@@ -175,7 +175,7 @@ def tune(
     repetitions: Annotated[int, typer.Option(min=1, help="In each tuning scene.")] = 3,
     out: _Out = Path("results/lasa/tuning"),
 ) -> None:
-    """Try settings of each method on other scenes and seeds, and name the best: about 4 minutes."""
+    """Try settings of each method on other scenes and seeds, and name the best."""
     console = Console()
     primitive = learn(TUNING_SCENES[0].shape)
     reference = comparison.reference_of(primitive)

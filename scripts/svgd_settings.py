@@ -33,7 +33,7 @@ def main(
 ) -> None:
     """Write a table for each scene: CSV of all rows, JSON and Markdown of means and spreads.
 
-    All scenes together take about six minutes on one core.
+    All scenes together take about ten minutes of one core.
     """
     console = Console()
     for wanted, known in ((variant, VARIANTS), (settings, SETTINGS)):
