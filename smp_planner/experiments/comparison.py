@@ -1,0 +1,128 @@
+"""Ways to adapt side by side: how many paths are free, how many ways they take, how alike they are.
+
+A *reference* is a large draw of the unadapted primitive, which similarity is measured against.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.adapt import SMP, PathPlan
+from smp_planner.experiments.lasa_scenes import LasaScene, Method
+from smp_planner.experiments.paths import classes, clearances, similarity
+from smp_planner.experiments.tables import Column
+from smp_planner.metrics import log_dimensionless_jerk, path_lengths
+from smp_planner.modes import group
+
+__all__ = [
+    "COLUMNS",
+    "NOISE_FLOOR",
+    "REFERENCE_SIZE",
+    "adapted",
+    "common_ends",
+    "measure",
+    "noise_floor_row",
+    "reference_of",
+]
+
+REFERENCE_SIZE = 1000
+"""Paths in a reference."""
+
+NOISE_FLOOR = "noise floor"
+"""Method in the row of a fresh draw of the unadapted primitive."""
+
+_REFERENCE_SEED = 2**40
+
+COLUMNS = (
+    Column("method", "Method"),
+    Column("free", "Free", 1, extremes=True),
+    Column("classes", "Ways", 1, extremes=True),
+    Column("entropy", "Entropy, nats"),
+    Column("wasserstein", "W1, mm"),
+    Column("frechet", "Fréchet, mm"),
+    Column("mmd", "MMD", 3),
+    Column("wasserstein_free", "W1 of free, mm"),
+    Column("frechet_free", "Fréchet of free, mm"),
+    Column("mmd_free", "MMD of free", 3),
+    Column("length", "Length, mm", 1),
+    Column("smoothness", "Smoothness", 1),
+)
+"""Of the printed table of `measure`'s rows."""
+
+FloatArray = NDArray[np.float64]
+
+
+def adapted(
+    primitive: SMP, scene: LasaScene, method: Method, particles: int, seed: int
+) -> PathPlan:
+    """Return a scene's plan by a method.
+
+    Args:
+        primitive: of the scene's shape.
+        scene: what to adapt to.
+        method: how.
+        particles: P.
+        seed: of all randomness.
+    """
+    return primitive.adapt(
+        scene.obstacles,
+        goal=scene.goal,
+        via_points=scene.via_points,
+        particles=particles,
+        seed=seed,
+        method=method.way,
+        settings=method.settings,
+    )
+
+
+def reference_of(primitive: SMP) -> FloatArray:
+    """Return `REFERENCE_SIZE` draws (R, T, 2) of the unadapted primitive, always the same."""
+    return _drawn(primitive, REFERENCE_SIZE, _REFERENCE_SEED)
+
+
+def measure(
+    paths: FloatArray, primitive: SMP, scene: LasaScene, reference: FloatArray
+) -> dict[str, float | None]:
+    """Return what is measured of a set of paths: a row without its method and repetition.
+
+    Ways are told apart by the winding numbers of the free paths, and counted; `entropy` is that of
+    their shares. Measures of free paths are None where none is free.
+
+    Args:
+        paths: (P, T, 2) mm.
+        primitive: unadapted.
+        scene: that they were adapted to.
+        reference: of `reference_of`.
+    """
+    free = paths[clearances(paths, scene.obstacles) > 0.0]
+    ways = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
+    alike = similarity(paths, reference)
+    alike_free = alike if len(free) == len(paths) else similarity(free, reference)
+    return {
+        "free": float(len(free)),
+        "classes": float(ways.count) if ways else 0.0,
+        "entropy": ways.entropy if ways else None,
+        **alike,
+        **{f"{name}_free": value for name, value in alike_free.items()},
+        "length": float(path_lengths(paths).mean()),
+        "smoothness": float(log_dimensionless_jerk(paths).mean()),
+    }
+
+
+def noise_floor_row(
+    primitive: SMP, scene: LasaScene, reference: FloatArray, particles: int, seed: int
+) -> dict[str, str | float | None]:
+    """Return the row of a fresh draw of the unadapted primitive, the best similarity there is."""
+    paths = _drawn(primitive, particles, seed)
+    return {"method": NOISE_FLOOR, "seed": seed, **measure(paths, primitive, scene, reference)}
+
+
+def _drawn(primitive: SMP, count: int, seed: int) -> FloatArray:
+    return primitive.adapt(particles=count, seed=seed, method=None).trajectories
+
+
+def common_ends(primitive: SMP) -> FloatArray:
+    """Return the mean start and end (2, 2) of the demonstrations."""
+    ends = [[demo[0], demo[-1]] for demo in primitive.demonstrations]
+    return np.asarray(np.mean(ends, axis=0))

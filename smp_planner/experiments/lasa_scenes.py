@@ -1,0 +1,149 @@
+"""The scenes of the LASA experiments, Sec. V-A, and what each method is set to in them.
+
+The paper does not state where its obstacles, via-points and new ends lie. Those here are ours, in
+the millimetres of the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from smp_planner.adapt import SMP, AdaptSettings, AnyOf, Circle, ViaPoint
+from smp_planner.adaptation import Adaptation, Flow, GaussianVI, OptimisedMean, Stein
+from smp_planner.experiments import lasa
+
+__all__ = [
+    "FIGURE_1",
+    "FIGURE_2A",
+    "FIGURE_2B",
+    "METHODS",
+    "SMOOTH_STD",
+    "TUNING_SCENES",
+    "LasaScene",
+    "Method",
+    "learn",
+    "settings",
+]
+
+SMOOTH_STD = 3.0
+"""mm, freedom added to what the demonstrations teach, a seventeenth of the S; see `ProMP.fit`."""
+
+_SAMPLES = 1000
+"""T of adapted paths: between samples, a path leaves the straight line by microns only."""
+
+
+@dataclass(frozen=True)
+class LasaScene:
+    """What a shape is adapted to; lengths in mm.
+
+    Attributes:
+        shape: of `lasa.demonstrations`.
+        obstacles: circles not to touch.
+        via_points: to pass.
+        goal: where to end; None leaves that to the demonstrations.
+    """
+
+    shape: str
+    obstacles: tuple[Circle, ...] = ()
+    via_points: tuple[ViaPoint | AnyOf, ...] = ()
+    goal: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to adapt and what it adapts to.
+
+    Attributes:
+        way: None only conditions.
+        settings: of map and costs; lengths in extents of the demonstrations.
+    """
+
+    way: Adaptation | None
+    settings: AdaptSettings
+
+
+FIGURE_1 = LasaScene(
+    "Sshape", (Circle((-2.0, 33.0), 3.0), Circle((38.0, 10.0), 3.0)), goal=(0.0, 0.0)
+)
+"""Two obstacles across the S, one in each of its bends: there are four ways to pass them."""
+
+_NEW_END = (10.0, -12.0)
+
+FIGURE_2A = LasaScene(
+    "Sshape+WShape",
+    via_points=(
+        AnyOf((ViaPoint(0.5, np.array([27.0, 28.0])), ViaPoint(0.5, np.array([-25.0, 6.0])))),
+    ),
+    goal=_NEW_END,
+)
+"""Both letters through a via-point each, to one new end."""
+
+FIGURE_2B = LasaScene(
+    "Sshape+WShape",
+    (
+        Circle((-2.0, 33.0), 3.0),
+        Circle((38.0, 10.0), 3.0),
+        Circle((-30.0, -9.0), 2.5),
+        Circle((-14.0, -21.0), 3.0),
+    ),
+    goal=_NEW_END,
+)
+"""Both letters past two obstacles each, to one new end."""
+
+TUNING_SCENES = (
+    LasaScene("Sshape", (Circle((20.0, 21.0), 3.0), Circle((37.0, 12.0), 3.0)), goal=(0.0, 0.0)),
+    LasaScene("Sshape", (Circle((-2.0, 30.0), 3.0), Circle((28.0, 4.0), 2.5)), goal=(0.0, 0.0)),
+    LasaScene("Sshape", (Circle((-1.0, 35.5), 3.0), Circle((36.0, 7.0), 2.5)), goal=(0.0, 0.0)),
+    LasaScene("Sshape", (Circle((8.0, 24.0), 2.5), Circle((37.0, 15.0), 3.5)), goal=(0.0, 0.0)),
+)
+"""Other obstacles across the S, on which `METHODS` were tuned."""
+
+
+def settings(
+    weight: float = 3.0, margin: float = 0.01, edge_width: tuple[float, float] = (0.05, 0.01)
+) -> AdaptSettings:
+    """Return settings of map and costs; lengths in extents.
+
+    Args:
+        weight: λ of Eq. (12).
+        margin: by which obstacles are enlarged.
+        edge_width: of the map in the first and the last iteration.
+    """
+    return AdaptSettings(
+        obstacle_weight=weight, margin=margin, edge_width=edge_width, samples=_SAMPLES, retries=0
+    )
+
+
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "promp": Method(None, settings()),
+        "smp": Method(Stein(), settings(weight=1.0)),
+        "promp_diff": Method(
+            Flow(iterations=1000, flow_time=0.002, longest_move=0.004, fit_std=0.0025),
+            settings(margin=0.18, edge_width=(0.1, 0.01)),
+        ),
+        "cpromp": Method(GaussianVI(iterations=400), settings(weight=30.0)),
+        "prompt_o": Method(OptimisedMean(), settings(weight=100.0, margin=0.12)),
+    }
+)
+"""Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""
+
+
+def learn(shape: str, smooth_std: float = SMOOTH_STD, modes: int | None = None) -> SMP:
+    """Return the primitive of a shape.
+
+    Args:
+        shape: of `lasa.demonstrations`.
+        smooth_std: mm, see `ProMP.fit`.
+        modes: components; None lets the demonstrations decide.
+
+    Raises:
+        ValueError: there is no such shape, or `modes` is out of range.
+    """
+    demonstrations = lasa.demonstrations(shape)
+    extent = float(np.ptp(demonstrations, axis=(0, 1)).max())
+    return SMP.fit(demonstrations, smooth_std=smooth_std / extent, modes=modes)

@@ -1,0 +1,129 @@
+"""What each method is set to: the settings with the most free paths on scenes of their own.
+
+Of the settings whose count of free paths is within `CLOSE` of the highest, those are taken whose
+paths are nearest to the unadapted primitive, by the Wasserstein distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.adapt import SMP
+from smp_planner.adaptation import Flow, GaussianVI, OptimisedMean, Stein
+from smp_planner.experiments.comparison import adapted
+from smp_planner.experiments.lasa_scenes import LasaScene, Method, settings
+from smp_planner.experiments.paths import clearances
+from smp_planner.experiments.tables import Column, Spread
+from smp_planner.metrics import resample, wasserstein
+
+__all__ = ["CANDIDATES", "CLOSE", "COLUMNS", "FIRST_SEED", "best", "tuning_row"]
+
+CLOSE = 0.5
+"""Free paths, out of those of a plan, by which means are taken for equal."""
+
+FIRST_SEED = 1000
+"""Of tuning; evaluations take seeds from 0."""
+
+COLUMNS = (
+    Column("method", "Method"),
+    Column("candidate", "Settings, lengths in extents"),
+    Column("free", "Free", 1, extremes=True),
+    Column("wasserstein", "W1, mm"),
+)
+"""Of the printed table of `tuning_row`s."""
+
+_EDGES = ((0.05, 0.01), (0.1, 0.01))
+
+CANDIDATES: Mapping[str, tuple[Method, ...]] = {
+    "smp": tuple(
+        Method(Stein(iterations=iterations), settings(weight, margin))
+        for weight, margin, iterations in product((0.3, 1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
+    ),
+    "promp_diff": tuple(
+        Method(
+            Flow(iterations=iterations, flow_time=0.002, longest_move=0.004, fit_std=fit_std),
+            settings(margin=margin, edge_width=edge_width),
+        )
+        for margin, edge_width, iterations, fit_std in product(
+            (0.02, 0.06, 0.12, 0.18), _EDGES, (300, 1000), (0.0025, 0.005, 0.02)
+        )
+    ),
+    "cpromp": tuple(
+        Method(GaussianVI(iterations=iterations), settings(weight, margin))
+        for weight, margin, iterations in product(
+            (3.0, 10.0, 30.0, 100.0), (0.01, 0.04), (200, 400)
+        )
+    ),
+    "prompt_o": tuple(
+        Method(OptimisedMean(iterations=iterations), settings(weight, margin))
+        for weight, margin, iterations in product(
+            (10.0, 100.0), (0.01, 0.06, 0.12, 0.18, 0.24), (10, 30)
+        )
+    ),
+}
+"""What is tried, by method."""
+
+FloatArray = NDArray[np.float64]
+
+
+def tuning_row(
+    name: str,
+    index: int,
+    primitive: SMP,
+    scene: LasaScene,
+    reference: FloatArray,
+    particles: int,
+    seed: int,
+) -> dict[str, str | float | None]:
+    """Return how one of the `CANDIDATES` does in a scene.
+
+    Args:
+        name: of the method.
+        index: of the candidate.
+        primitive: of the scene's shape.
+        scene: to adapt to.
+        reference: draws of the unadapted primitive.
+        particles: P.
+        seed: of the plan.
+    """
+    method = CANDIDATES[name][index]
+    paths = adapted(primitive, scene, method, particles, seed).trajectories
+    return {
+        "method": name,
+        "candidate": _described(method),
+        "seed": seed,
+        "free": float((clearances(paths, scene.obstacles) > 0.0).sum()),
+        "wasserstein": wasserstein(resample(paths), resample(reference)),
+    }
+
+
+def _described(method: Method) -> str:
+    way, given = method.way, method.settings
+    first, last = given.edge_width
+    assert isinstance(way, Flow | GaussianVI | OptimisedMean | Stein)
+    text = f"{way.iterations} iterations, margin {given.margin:g}"
+    if isinstance(way, Flow):
+        return f"{text}, edge {first:g} to {last:g}, fit within {way.fit_std:g}"
+    return f"{text}, λ {given.obstacle_weight:g}"
+
+
+def best(summaries: Sequence[Mapping[str, str | Spread]]) -> int:
+    """Return the index of the settings to take, of those of one method.
+
+    Args:
+        summaries: of `tuning_row`s, at least one, in the order of the candidates.
+    """
+    free = np.array([_mean(summary["free"]) for summary in summaries])
+    distance = np.array([_mean(summary["wasserstein"]) for summary in summaries])
+    distance[free < free.max() - CLOSE] = np.inf
+    return int(distance.argmin())
+
+
+def _mean(value: str | Spread) -> float:
+    assert isinstance(value, Spread)
+    assert value.mean is not None
+    return value.mean
