@@ -62,11 +62,24 @@ def run(
 
 
 @app.command()
-def show(out: _Out = Path("results/table_two")) -> None:
+def show(
+    out: _Out = Path("results/table_two"),
+    newer: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder whose rows take the place of those of the same tasks and methods; may be "
+            "given several times."
+        ),
+    ] = None,
+) -> None:
     """Write tables and figure of what a folder holds, finished or not."""
     rows = running.read(out)
     if not rows:
         raise typer.BadParameter(f"{str(out)!r} holds no repetitions", param_hint="--out")
+    for folder in newer or ():
+        measured = running.read(folder)
+        again = {(row.task, row.method) for row in measured}
+        rows = [row for row in rows if (row.task, row.method) not in again] + measured
     summary = report.write_report(rows, out)
     figure.draw_table(summary, out / "table_two.png")
     console = Console()

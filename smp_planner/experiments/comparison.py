@@ -20,6 +20,7 @@ __all__ = [
     "NOISE_FLOOR",
     "REFERENCE_SIZE",
     "adapted",
+    "common_ends",
     "measure",
     "noise_floor_row",
     "reference_of",
@@ -95,13 +96,15 @@ def measure(
         reference: of `reference_of`.
     """
     free = paths[clearances(paths, scene.obstacles) > 0.0]
-    ways = group(classes(free, scene.obstacles, _ends(primitive))) if len(free) else None
+    ways = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
+    alike = similarity(paths, reference)
+    alike_free = alike if len(free) == len(paths) else similarity(free, reference)
     return {
         "free": float(len(free)),
         "classes": float(ways.count) if ways else 0.0,
         "entropy": ways.entropy if ways else None,
-        **similarity(paths, reference),
-        **similarity(free, reference, "_free"),
+        **alike,
+        **{f"{name}_free": value for name, value in alike_free.items()},
         "length": float(path_lengths(paths).mean()),
         "smoothness": float(log_dimensionless_jerk(paths).mean()),
     }
@@ -119,7 +122,7 @@ def _drawn(primitive: SMP, count: int, seed: int) -> FloatArray:
     return primitive.adapt(particles=count, seed=seed, method=None).trajectories
 
 
-def _ends(primitive: SMP) -> FloatArray:
+def common_ends(primitive: SMP) -> FloatArray:
     """Return the mean start and end (2, 2) of the demonstrations."""
     ends = [[demo[0], demo[-1]] for demo in primitive.demonstrations]
     return np.asarray(np.mean(ends, axis=0))

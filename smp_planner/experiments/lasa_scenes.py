@@ -71,9 +71,33 @@ FIGURE_1 = LasaScene(
 )
 """Two obstacles across the S, one in each of its bends: there are four ways to pass them."""
 
+_NEW_END = (10.0, -12.0)
+
+FIGURE_2A = LasaScene(
+    "Sshape+WShape",
+    via_points=(
+        AnyOf((ViaPoint(0.5, np.array([27.0, 28.0])), ViaPoint(0.5, np.array([-25.0, 6.0])))),
+    ),
+    goal=_NEW_END,
+)
+"""Both letters through a via-point each, to one new end."""
+
+FIGURE_2B = LasaScene(
+    "Sshape+WShape",
+    (
+        Circle((-2.0, 33.0), 3.0),
+        Circle((38.0, 10.0), 3.0),
+        Circle((-30.0, -9.0), 2.5),
+        Circle((-14.0, -21.0), 3.0),
+    ),
+    goal=_NEW_END,
+)
+"""Both letters past two obstacles each, to one new end."""
+
 TUNING_SCENES = (
     LasaScene("Sshape", (Circle((20.0, 21.0), 3.0), Circle((37.0, 12.0), 3.0)), goal=(0.0, 0.0)),
     LasaScene("Sshape", (Circle((-2.0, 30.0), 3.0), Circle((28.0, 4.0), 2.5)), goal=(0.0, 0.0)),
+    LasaScene("Sshape", (Circle((-1.0, 35.5), 3.0), Circle((36.0, 7.0), 2.5)), goal=(0.0, 0.0)),
     LasaScene("Sshape", (Circle((8.0, 24.0), 2.5), Circle((37.0, 15.0), 3.5)), goal=(0.0, 0.0)),
 )
 """Other obstacles across the S, on which `METHODS` were tuned."""
@@ -97,25 +121,29 @@ def settings(
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "promp": Method(None, settings()),
-        "smp": Method(Stein(), settings()),
-        "promp_diff": Method(Flow(), settings()),
-        "cpromp": Method(GaussianVI(), settings()),
-        "prompt_o": Method(OptimisedMean(), settings()),
+        "smp": Method(Stein(), settings(weight=1.0)),
+        "promp_diff": Method(
+            Flow(iterations=1000, flow_time=0.002, longest_move=0.004, fit_std=0.0025),
+            settings(margin=0.18, edge_width=(0.1, 0.01)),
+        ),
+        "cpromp": Method(GaussianVI(iterations=400), settings(weight=30.0)),
+        "prompt_o": Method(OptimisedMean(), settings(weight=100.0, margin=0.12)),
     }
 )
 """Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""
 
 
-def learn(shape: str, smooth_std: float = SMOOTH_STD) -> SMP:
+def learn(shape: str, smooth_std: float = SMOOTH_STD, modes: int | None = None) -> SMP:
     """Return the primitive of a shape.
 
     Args:
         shape: of `lasa.demonstrations`.
         smooth_std: mm, see `ProMP.fit`.
+        modes: components; None lets the demonstrations decide.
 
     Raises:
-        ValueError: there is no such shape.
+        ValueError: there is no such shape, or `modes` is out of range.
     """
     demonstrations = lasa.demonstrations(shape)
     extent = float(np.ptp(demonstrations, axis=(0, 1)).max())
-    return SMP.fit(demonstrations, smooth_std=smooth_std / extent)
+    return SMP.fit(demonstrations, smooth_std=smooth_std / extent, modes=modes)

@@ -53,20 +53,17 @@ def classes(paths: FloatArray, circles: Sequence[Circle], ends: FloatArray) -> I
     return signatures_2d(joined, centers)
 
 
-def similarity(
-    paths: FloatArray, reference: FloatArray, suffix: str = ""
-) -> dict[str, float | None]:
+def similarity(paths: FloatArray, reference: FloatArray) -> dict[str, float | None]:
     """Return wasserstein, frechet and mmd of `metrics.compare`; None of an empty set.
 
     Args:
         paths: (P, T, 2).
         reference: (R, U, 2).
-        suffix: of the names.
     """
     if not len(paths):
-        return {name + suffix: None for name in _SIMILARITY}
+        return dict.fromkeys(_SIMILARITY)
     found = metrics.compare(paths, reference)
-    return {name + suffix: float(getattr(found, name)) for name in _SIMILARITY}
+    return {name: float(getattr(found, name)) for name in _SIMILARITY}
 
 
 def diversity(paths: FloatArray) -> float:

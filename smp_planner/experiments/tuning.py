@@ -30,18 +30,18 @@ FIRST_SEED = 1000
 
 COLUMNS = (
     Column("method", "Method"),
-    Column("candidate", "Settings"),
+    Column("candidate", "Settings, lengths in extents"),
     Column("free", "Free", 1, extremes=True),
     Column("wasserstein", "W1, mm"),
 )
 """Of the printed table of `tuning_row`s."""
 
-_WIDE, _USUAL = (0.2, 0.1), (0.05, 0.01)
+_EDGES = ((0.05, 0.01), (0.1, 0.01))
 
 CANDIDATES: Mapping[str, tuple[Method, ...]] = {
     "smp": tuple(
         Method(Stein(iterations=iterations), settings(weight, margin))
-        for weight, margin, iterations in product((1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
+        for weight, margin, iterations in product((0.3, 1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
     ),
     "promp_diff": tuple(
         Method(
@@ -49,7 +49,7 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
             settings(margin=margin, edge_width=edge_width),
         )
         for margin, edge_width, iterations, fit_std in product(
-            (0.02, 0.06, 0.12, 0.18), (_USUAL, _WIDE), (300, 1000), (0.005, 0.02)
+            (0.02, 0.06, 0.12, 0.18), _EDGES, (300, 1000), (0.0025, 0.005, 0.02)
         )
     ),
     "cpromp": tuple(
@@ -94,22 +94,33 @@ def tuning_row(
     paths = adapted(primitive, scene, method, particles, seed).trajectories
     return {
         "method": name,
-        "candidate": str(index),
+        "candidate": _described(method),
         "seed": seed,
         "free": float((clearances(paths, scene.obstacles) > 0.0).sum()),
         "wasserstein": wasserstein(resample(paths), resample(reference)),
     }
 
 
-def best(summaries: Sequence[Mapping[str, str | Spread]]) -> Mapping[str, str | Spread]:
-    """Return the summary of the settings to take, of those of one method.
+def _described(method: Method) -> str:
+    way, given = method.way, method.settings
+    first, last = given.edge_width
+    assert isinstance(way, Flow | GaussianVI | OptimisedMean | Stein)
+    text = f"{way.iterations} iterations, margin {given.margin:g}"
+    if isinstance(way, Flow):
+        return f"{text}, edge {first:g} to {last:g}, fit within {way.fit_std:g}"
+    return f"{text}, λ {given.obstacle_weight:g}"
+
+
+def best(summaries: Sequence[Mapping[str, str | Spread]]) -> int:
+    """Return the index of the settings to take, of those of one method.
 
     Args:
-        summaries: of `tuning_row`s, at least one.
+        summaries: of `tuning_row`s, at least one, in the order of the candidates.
     """
-    most = max(_mean(summary["free"]) for summary in summaries)
-    close = [summary for summary in summaries if _mean(summary["free"]) >= most - CLOSE]
-    return min(close, key=lambda summary: _mean(summary["wasserstein"]))
+    free = np.array([_mean(summary["free"]) for summary in summaries])
+    distance = np.array([_mean(summary["wasserstein"]) for summary in summaries])
+    distance[free < free.max() - CLOSE] = np.inf
+    return int(distance.argmin())
 
 
 def _mean(value: str | Spread) -> float:

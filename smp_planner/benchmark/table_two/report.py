@@ -148,6 +148,37 @@ def _table(methods: Mapping[str, Any], columns: Sequence[_Column]) -> list[str]:
     return lines
 
 
+_OVERVIEW: tuple[_Column, ...] = (
+    ("Executed with success, %:", lambda s: _cell(s["success"], 100, 1)),
+    (
+        "W1 of what was executed with success, cm:",
+        lambda s: _cell(s["successful"]["wasserstein"], 100, 1),
+    ),
+    ("Fréchet distance of it, cm:", lambda s: _cell(s["successful"]["frechet"], 100, 1)),
+    ("MMD of it:", lambda s: _cell(s["successful"]["mmd"], 1, 2)),
+)
+
+
+def _overview(tasks: Mapping[str, Any]) -> list[str]:
+    """Return tables with a row for each method and a column for each task."""
+    executed = {
+        task: {m: s for m, s in methods.items() if s["success"] is not None}
+        for task, methods in tasks.items()
+    }
+    lines = []
+    for title, show in _OVERVIEW:
+        lines += ["", title, "", "| method | " + " | ".join(tasks) + " |"]
+        lines.append("|---" * (len(tasks) + 1) + "|")
+        for method in METHODS:
+            if any(method in of_task for of_task in executed.values()):
+                cells = [
+                    show(of_task[method]) if method in of_task else "–"
+                    for of_task in executed.values()
+                ]
+                lines.append(f"| {TITLES[method]} | " + " | ".join(cells) + " |")
+    return lines
+
+
 def _paper_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
     names = ("wasserstein", "frechet", "mmd", "success", "mean_length", "min_length")
     titles = ("W.D", "F.D", "M.M.D", "Succ.Rate", "Avg.Traj.Len", "Min.Traj.Len")
@@ -176,6 +207,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         "ones, as many as these are.",
         "",
         f"Scenes: {summary['rule']}.",
+        *_overview(summary["tasks"]),
     ]
     for task, methods in summary["tasks"].items():
         executed = {m: s for m, s in methods.items() if s["success"] is not None}

@@ -1,0 +1,86 @@
+"""New ends and via-points, Fig. 2: how many paths reach what they are modulated to."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.adapt import AnyOf, PathPlan, ViaPoint
+from smp_planner.experiments.lasa_scenes import LasaScene
+from smp_planner.experiments.paths import clearances
+from smp_planner.experiments.tables import Column
+
+__all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulation_row", "passed_via_points"]
+
+TOLERANCE = 1.0
+"""mm, within which a via-point counts as passed and an end as reached."""
+
+COLUMNS = (
+    Column("scene", "Scene"),
+    Column("method", "Method"),
+    Column("free", "Free", 1, extremes=True),
+    Column("passed", "Via-points passed", 1, extremes=True),
+    Column("reached", "End reached", 1, extremes=True),
+    Column("good", "All of it", 1, extremes=True),
+    Column("end_error", "Mean end error, mm"),
+    Column("worst_end_error", "Greatest end error, mm"),
+)
+"""Of the printed table of `modulation_row`s."""
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def modulation_row(
+    name: str, method: str, scene: LasaScene, plan: PathPlan, seed: int
+) -> dict[str, str | float | None]:
+    """Return what of a plan's paths is as wanted.
+
+    Args:
+        name: of the scene.
+        method: its name.
+        scene: with or without via-points, goal and obstacles.
+        plan: by that method.
+        seed: of the plan.
+    """
+    paths = plan.trajectories
+    free = clearances(paths, scene.obstacles) > 0.0
+    passed = passed_via_points(paths, scene)
+    error = end_errors(paths, scene)
+    reached = error <= TOLERANCE
+    return {
+        "scene": name,
+        "method": method,
+        "seed": seed,
+        "free": float(free.sum()),
+        "passed": float(passed.sum()),
+        "reached": float(reached.sum()),
+        "good": float((free & passed & reached).sum()),
+        "end_error": float(error.mean()),
+        "worst_end_error": float(error.max()),
+    }
+
+
+def passed_via_points(paths: FloatArray, scene: LasaScene) -> BoolArray:
+    """Return whether (P,) paths (P, T, 2) pass all via-points within `TOLERANCE` at their phases.
+
+    Of several to choose from, one is enough.
+    """
+    passed = np.ones(len(paths), np.bool_)
+    at = np.linspace(0.0, 1.0, paths.shape[1])
+    for wanted in scene.via_points:
+        options = wanted.options if isinstance(wanted, AnyOf) else (wanted,)
+        distances = []
+        for option in options:
+            assert isinstance(option, ViaPoint)
+            points = [[np.interp(option.phase, at, x) for x in path.T] for path in paths]
+            distances.append(np.linalg.norm(np.array(points) - option.position, axis=-1))
+        passed &= np.min(distances, axis=0) <= TOLERANCE
+    return passed
+
+
+def end_errors(paths: FloatArray, scene: LasaScene) -> FloatArray:
+    """Return (P,) mm from the ends of paths (P, T, 2) to the scene's goal; 0 without one."""
+    if scene.goal is None:
+        return np.zeros(len(paths))
+    return np.asarray(np.linalg.norm(paths[:, -1] - np.asarray(scene.goal), axis=-1))

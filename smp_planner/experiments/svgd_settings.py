@@ -1,0 +1,151 @@
+"""What settings of SVGD are worth on the S: success, similarity, and truth to the posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.adapt import SMP, Circle
+from smp_planner.adaptation import Stein
+from smp_planner.experiments.comparison import adapted, common_ends, reference_of
+from smp_planner.experiments.lasa_scenes import (
+    FIGURE_1,
+    SMOOTH_STD,
+    LasaScene,
+    Method,
+    learn,
+    settings,
+)
+from smp_planner.experiments.paths import classes, similarity
+from smp_planner.experiments.posterior import Reference, columns, exact_draws, posterior_row
+from smp_planner.experiments.tables import Column
+from smp_planner.inference.smc import SMCSettings
+
+__all__ = ["EXACT", "POSTERIOR", "VARIANTS", "Ground", "Variant", "settings_columns"]
+
+POSTERIOR = "posterior (SMC)"
+"""Setting in the rows of the reference's own runs, whose spread is the reference's error."""
+
+EXACT = "draws of it"
+"""Setting in the rows of as many draws from the posterior as there are particles."""
+
+_SETTINGS = settings().model_copy(update={"samples": 200})
+
+FloatArray = NDArray[np.float64]
+Row = dict[str, "str | float | None"]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A scene, and how wide the prior is.
+
+    Attributes:
+        scene: of one shape with obstacles.
+        smooth_std: mm, see `lasa_scenes.learn`.
+    """
+
+    scene: LasaScene
+    smooth_std: float = SMOOTH_STD
+
+
+def _scene(*circles: tuple[float, float, float]) -> LasaScene:
+    obstacles = tuple(Circle((x, y), radius) for x, y, radius in circles)
+    return LasaScene("Sshape", obstacles, goal=(0.0, 0.0))
+
+
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        "fig1": Variant(FIGURE_1),
+        "narrow_prior": Variant(FIGURE_1, smooth_std=1.0),
+        "unequal_ways": Variant(_scene((0.0, 33.0, 3.0), (36.0, 10.0, 3.0))),
+        "many_ways": Variant(
+            _scene((14.0, 45.0, 2.5), (-2.0, 33.0, 2.5), (20.0, 21.0, 2.5), (38.0, 10.0, 2.5))
+        ),
+    }
+)
+"""By name: Fig. 1; with a third of the freedom; with one way nearly free; with sixteen ways."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What all settings are measured against in a variant.
+
+    Attributes:
+        variant: of it.
+        primitive: its prior.
+        prior: draws of the unadapted primitive, for similarity.
+        runs: paths of each run of the reference.
+        posterior: of all runs together.
+    """
+
+    variant: Variant
+    primitive: SMP
+    prior: FloatArray
+    runs: tuple[FloatArray, ...]
+    posterior: Reference
+
+    @classmethod
+    def of(cls, variant: Variant, runs: int, smc: SMCSettings | None = None) -> Ground:
+        """Return the ground of a variant.
+
+        Args:
+            variant: to be measured in.
+            runs: of the reference, at least 1.
+            smc: of each.
+        """
+        primitive = learn(variant.scene.shape, variant.smooth_std)
+        drawn = tuple(
+            exact_draws(primitive, variant.scene, _SETTINGS, np.random.default_rng(run), smc)
+            for run in range(runs)
+        )
+        paths = np.concatenate(drawn)
+        signatures = classes(paths, variant.scene.obstacles, common_ends(primitive))
+        prior = reference_of(primitive)
+        return cls(variant, primitive, prior, drawn, Reference(paths, signatures))
+
+    def row(self, setting: str, particles: int, seed: int) -> Row:
+        """Return the row of one repetition of a setting.
+
+        Args:
+            setting: one of `inference.SETTINGS`, or `EXACT`.
+            particles: P.
+            seed: of the repetition.
+        """
+        if setting == EXACT:
+            rng = np.random.default_rng([seed, 1])
+            every = len(self.posterior.paths)
+            paths = self.posterior.paths[rng.choice(every, particles, replace=False)]
+        else:
+            method = Method(Stein(inference=setting), _SETTINGS)
+            paths = adapted(
+                self.primitive, self.variant.scene, method, particles, seed
+            ).trajectories
+        return {**self._compared(setting, paths, seed), **similarity(paths, self.prior)}
+
+    def reference_rows(self) -> Iterator[Row]:
+        """Yield a row of each run of the reference, without similarity, which depends on size."""
+        for seed, paths in enumerate(self.runs):
+            yield {**self._compared(POSTERIOR, paths, seed), **similarity(paths[:0], self.prior)}
+
+    def _compared(self, setting: str, paths: FloatArray, seed: int) -> Row:
+        scene = self.variant.scene
+        signatures = classes(paths, scene.obstacles, common_ends(self.primitive))
+        return {
+            **posterior_row(setting, paths, signatures, self.posterior, scene),
+            "seed": seed,
+        }
+
+
+def settings_columns(ground: Ground) -> tuple[Column, ...]:
+    """Return the columns of the printed table of a ground's rows."""
+    setting, free, ways, *others = columns(ground.posterior)
+    alike = (
+        Column("wasserstein", "W1, mm"),
+        Column("frechet", "Fréchet, mm"),
+        Column("mmd", "MMD", 3),
+    )
+    return (setting, free, ways, *alike, *others)
