@@ -39,6 +39,6 @@ def test_settings_and_priors_differ_in_what_they_say(rows):
 
 def test_diversity_is_the_mean_distance_of_two_paths():
     still = np.zeros((60, 3))
-    paths = np.stack([still, still + [0.3, 0.0, 0.0], still + [0.0, 0.4, 0.0]])
+    paths = np.stack([still, still + np.array([0.3, 0.0, 0.0]), still + np.array([0.0, 0.4, 0.0])])
     paths[:, :, 2] += np.linspace(0.0, 1.0, 60)
     assert diversity(paths) == pytest.approx((0.3 + 0.4 + 0.5) / 3)
