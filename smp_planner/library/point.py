@@ -144,12 +144,14 @@ class Ball:
     def check(self, trajectories: FloatArray) -> Check:
         """Check whole paths; see `Mover`."""
         count = len(trajectories)
-        paths = in_space(trajectories)
+        clearance = np.full(count, np.inf)
         grid = None if self.cloud is None else self.cloud.grid
-        clearance = path_clearance(paths, self.obstacles, grid=grid) - self.radius
+        if self.obstacles or grid is not None:
+            paths = in_space(trajectories)
+            clearance = path_clearance(paths, self.obstacles, grid=grid) - self.radius
         free = clearance >= TOLERANCE
         if self.cloud is not None:
-            free &= self.cloud.covers(paths, self.radius)
+            free &= self.cloud.covers(trajectories, self.radius)
         return Check(clearance, free, np.ones(count, np.bool_), np.full(count, np.nan))
 
 
