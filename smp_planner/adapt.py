@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from smp_planner.adaptation import Adaptation, Flow, GaussianVI, OptimisedMean, Stein
 from smp_planner.library.adapting import adapted, judged, widened
 from smp_planner.library.chain import with_collision_pairs
+from smp_planner.library.cloud import PointCloud
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.plan import PathPlan
@@ -56,6 +57,7 @@ __all__ = [
     "FitSettings",
     "GoalRegion",
     "PathPlan",
+    "PointCloud",
     "Rectangle",
     "Robot",
     "ViaPoint",
@@ -177,7 +179,7 @@ class SMP:
 
     def adapt(
         self,
-        obstacles: Sequence[PathObstacle] = (),
+        obstacles: Sequence[PathObstacle] | PointCloud = (),
         *,
         start: Wanted | None = None,
         goal: Wanted | None = None,
@@ -196,8 +198,8 @@ class SMP:
         its root link.
 
         Args:
-            obstacles: `Circle`s and `Rectangle`s in the plane, `smp_gym.scene.Obstacle`s in space
-                and for a robot.
+            obstacles: `Circle`s and `Rectangle`s in the plane; in space and for a robot
+                `smp_gym.scene.Obstacle`s and one `PointCloud`, which may also be given alone.
             start: (D,) where to begin, a `Box`, or `AnyOf` such; None leaves it as demonstrated.
             goal: likewise, where to end; for a robot also a `GoalRegion` of its tool.
             via_points: what to pass on the way; `AnyOf` several of one phase for a choice.
@@ -218,14 +220,14 @@ class SMP:
         way = _method(method)
         if particles < 1:
             raise ValueError(f"particles must be at least 1, got {particles}")
-        obstacles = tuple(obstacles)
+        obstacles = (obstacles,) if isinstance(obstacles, PointCloud) else tuple(obstacles)
         stopwatch = Stopwatch()
         with one_thread():
             model = None if self.robot is None else self.robot.model
             sites = sites_of(self.frame, start, via_points, goal, settings.sigma, model)
             with stopwatch.stage("map"):
                 scene = Scene(self.frame, self.robot, obstacles, radius)
-                scene.refuse_blocked(sites)
+                scene.refuse_blocked(sites, settings, self.demonstrations)
                 mover = scene.mover(settings, seed, self.demonstrations, sites)
             target = SceneTarget(mover, sites, settings)
             prior = self.mixture if per_component else ProMPMixture((self.single,), torch.ones(1))

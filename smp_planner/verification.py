@@ -1,10 +1,10 @@
 """The exact check of finished trajectories: collisions between the steps, joint limits, duration.
 
-Nothing learned and no grid: spheres against the exact distance of the obstacles, along the whole
-piecewise linear path in joint space. Between two configurations no sphere can come nearer to
-anything than half of what is left of the two distances after the length of its way is taken off;
-where that does not settle the matter, the segment is halved. So the result holds for the path, not
-only for samples of it.
+Nothing learned and no grid, unless a grid is all that is known of a scene: spheres against the
+exact distance of the obstacles, along the whole piecewise linear path in joint space. Between two
+configurations no sphere can come nearer to anything than half of what is left of the two distances
+after the length of its way is taken off; where that does not settle the matter, the segment is
+halved. So the result holds for the path, not only for samples of it.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -23,6 +23,7 @@ from smp_gym.scene import Obstacle
 from smp_planner.compiled import FAST, chain, place, sine_cosine
 from smp_planner.costs import VELOCITY_FRACTION, check_trajectories
 from smp_planner.occupancy.analytic import PackedObstacles, point_distance
+from smp_planner.occupancy.grid import DistanceGrid, lookup
 from smp_planner.robot_model import RobotModel
 
 __all__ = [
@@ -49,6 +50,8 @@ DURATION_LIMIT = 15.0
 _SELF_HORIZON = 0.05
 # Halvings of one segment: enough for a segment of a kilometre at a tolerance of a millimetre.
 _DEPTH = 22
+# Arrays of `lookup`, and the steepness of the distance, where there is no grid.
+_NO_GRID = np.empty((0, 0, 0), np.float32), np.zeros(3), 1.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -119,14 +122,18 @@ def _check(
     trajectories,
     robot,
     obstacles,
+    grid,
     tolerance,
     clearance,
     self_free,
 ):
     """Write clearance (P,) and self_free (P,) of trajectories (P,n,T); see `check_collisions`.
 
-    `robot` is a `RobotArrays`, `obstacles` are the arrays of `PackedObstacles`.
+    `robot` is a `RobotArrays`, `obstacles` are the arrays of `PackedObstacles`, `grid` is as
+    `_NO_GRID`.
     """
+    values, corner, inv_spacing, steepness = grid
+    has_grid = values.shape[0] > 0
     count, joints, steps = trajectories.shape
     base, origins, link, center, radius = (
         robot.base,
@@ -176,6 +183,7 @@ def _check(
                 for j in range(joints):
                     turn = trajectories[p, j, t] - trajectories[p, j, before]
                     way[s] += abs(turn) * robot.lever[s, j]
+                way[s] *= steepness
                 longest = max(longest, way[s])
             top = 1
             at[0] = 0.0
@@ -216,11 +224,14 @@ def _check(
                         dx = x - measured_at[s, 0]
                         dy = y - measured_at[s, 1]
                         dz = z - measured_at[s, 2]
-                        least = measured[s] - math.sqrt(dx * dx + dy * dy + dz * dz)
+                        least = measured[s] - steepness * math.sqrt(dx * dx + dy * dy + dz * dz)
                         # What is by a segment's way farther than the nearest settles the segment
                         # as it is; there is no need to measure it anew.
                         if least < nearest + way[s]:
-                            least = point_distance(x, y, z, *obstacles) - radius[s]
+                            least = point_distance(x, y, z, *obstacles)
+                            if has_grid:
+                                least = min(least, lookup(values, corner, inv_spacing, x, y, z)[0])
+                            least -= radius[s]
                             measured[s] = least
                             measured_at[s, 0] = x
                             measured_at[s, 1] = y
@@ -265,6 +276,7 @@ def check_collisions(
     robot: RobotModel,
     obstacles: Sequence[Obstacle] | PackedObstacles,
     tolerance: float = TOLERANCE,
+    grid: DistanceGrid | None = None,
 ) -> CollisionCheck:
     """Check whole paths against obstacles and the arm itself.
 
@@ -277,6 +289,8 @@ def check_collisions(
         obstacles: bodies at rest.
         tolerance: m, by which the clearance may be overestimated; a path is free if its clearance
             is at least this.
+        grid: distance to what else there is, of which nothing better is known; what it says is
+            taken as it is, and outside it the nearest point of its boundary answers.
 
     Raises:
         ValueError: wrong shape or not finite, or `tolerance` is not positive.
@@ -285,11 +299,15 @@ def check_collisions(
     if not (math.isfinite(tolerance) and tolerance > 0.0):
         raise ValueError(f"tolerance must be positive, got {tolerance}")
     packed = obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
+    known = _NO_GRID
+    if grid is not None:
+        known = grid.values, grid.origin, 1.0 / grid.spacing, max(grid.steepness, 1.0)
     clearance, self_free = np.empty(len(q)), np.empty(len(q), np.bool_)
     _check(
         np.ascontiguousarray(q.swapaxes(1, 2)),
         robot.arrays,
         packed.arrays,
+        known,
         tolerance,
         clearance,
         self_free,
@@ -336,6 +354,7 @@ def verify(
     robot: RobotModel,
     obstacles: Sequence[Obstacle] | PackedObstacles,
     duration_limit: float = DURATION_LIMIT,
+    grid: DistanceGrid | None = None,
 ) -> Verification:
     """Check collisions, joint limits and duration of trajectories (P,T,n) rad.
 
@@ -344,13 +363,14 @@ def verify(
         robot: the arm and what it carries.
         obstacles: bodies at rest.
         duration_limit: s, within which an executable trajectory is finished.
+        grid: distance to what else there is; see `check_collisions`.
 
     Raises:
         ValueError: wrong shape or not finite, or `duration_limit` is not positive.
     """
     if not duration_limit > 0.0:
         raise ValueError(f"duration_limit must be positive, got {duration_limit}")
-    check = check_collisions(trajectories, robot, obstacles)
+    check = check_collisions(trajectories, robot, obstacles, grid=grid)
     limits = within_joint_limits(trajectories, robot)
     duration = minimum_duration(trajectories, robot.velocity)
     return Verification(

@@ -19,6 +19,7 @@ from smp_planner.costs import (
     SelfCollisionCost,
     VelocityLimitCost,
 )
+from smp_planner.library.cloud import LearnedCloud
 from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
 from smp_planner.library.settings import AdaptSettings
 from smp_planner.occupancy.analytic import PackedObstacles
@@ -26,7 +27,13 @@ from smp_planner.occupancy.occupancy_map import TRUNCATION
 from smp_planner.robot_model import RobotModel
 from smp_planner.verification import verify
 
-__all__ = ["REFERENCE_SPHERES", "Arm", "reach", "robot_workspace", "with_collision_pairs"]
+__all__ = [
+    "REFERENCE_SPHERES",
+    "Arm",
+    "reachable_box",
+    "robot_workspace",
+    "with_collision_pairs",
+]
 
 FloatArray = NDArray[np.float64]
 Workspace = tuple[tuple[float, ...], tuple[float, ...]]
@@ -65,11 +72,13 @@ def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]
     return replace(model, collision_pairs=np.concatenate([empty, *pairs]))
 
 
-def reach(model: RobotModel) -> float:
-    """Return how far, m, anything of a robot can be from its first joint."""
+def reachable_box(model: RobotModel) -> Workspace:
+    """Return the corners, m, of a box around all that a robot can reach with any of its parts."""
     arms = np.linalg.norm(model.joint_origins[1:, :3, 3], axis=1).sum()
     outer = np.linalg.norm(model.center, axis=1) + model.radius
-    return float(arms + outer.max(initial=0.0))
+    reach = arms + outer.max(initial=0.0)
+    middle = (model.base @ model.joint_origins[0])[:3, 3]
+    return tuple((middle - reach).tolist()), tuple((middle + reach).tolist())
 
 
 def robot_workspace(model: RobotModel, obstacles: Sequence[Obstacle]) -> Workspace | None:
@@ -77,10 +86,10 @@ def robot_workspace(model: RobotModel, obstacles: Sequence[Obstacle]) -> Workspa
     packed = PackedObstacles.of(obstacles)
     if not len(packed):
         return None
-    middle = (model.base @ model.joint_origins[0])[:3, 3]
+    least, most = reachable_box(model)
     around = packed.half_extents + TRUNCATION
-    lower = np.maximum((packed.position - around).min(axis=0), middle - reach(model))
-    upper = np.minimum((packed.position + around).max(axis=0), middle + reach(model))
+    lower = np.maximum((packed.position - around).min(axis=0), least)
+    upper = np.minimum((packed.position + around).max(axis=0), most)
     if not (lower < upper).all():
         return None
     return tuple(lower.tolist()), tuple(upper.tolist())
@@ -95,12 +104,14 @@ class Arm:
         obstacles: m, in the frame of its root link.
         collision_cost: of its spheres on the scene's map; None if it can meet no obstacle.
         settings: weights of the limits' costs.
+        cloud: what is known of a `PointCloud`; None if there is none.
     """
 
     model: RobotModel
     obstacles: tuple[Obstacle, ...]
     collision_cost: CollisionCost | None
     settings: AdaptSettings
+    cloud: LearnedCloud | None = None
 
     @cached_property
     def _limits(self) -> dict[str, tuple[float, Cost]]:
@@ -136,6 +147,8 @@ class Arm:
         return {name: (weight, cost(trajectories)) for name, (weight, cost) in self._limits.items()}
 
     def check(self, trajectories: FloatArray) -> Check:
-        """Check whole paths on the exact obstacles; see `Mover`."""
-        found = verify(trajectories, self.model, self.obstacles, self.settings.duration_limit)
+        """Check whole paths; see `Mover`."""
+        grid = None if self.cloud is None else self.cloud.grid
+        limit = self.settings.duration_limit
+        found = verify(trajectories, self.model, self.obstacles, limit, grid)
         return Check(found.clearance, found.collision_free, found.executable, found.duration)

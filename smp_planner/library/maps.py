@@ -15,10 +15,17 @@ from smp_planner.occupancy.neural import (
     sample_labelled_points,
     train_map,
 )
+from smp_planner.occupancy.occupancy_map import OccupancyMap
 
-__all__ = ["Workspace", "exact_grid", "neural_grid"]
+__all__ = ["Workspace", "around_both", "exact_grid", "lowered", "neural_grid"]
 
 Workspace = tuple[Sequence[float], Sequence[float]]
+
+
+def around_both(first: Workspace, second: Workspace) -> Workspace:
+    """Return the smallest box around two."""
+    lower, upper = np.minimum(first[0], second[0]), np.maximum(first[1], second[1])
+    return tuple(lower.tolist()), tuple(upper.tolist())
 
 
 def exact_grid(obstacles: Sequence[Obstacle], workspace: Workspace) -> DistanceGrid:
@@ -51,3 +58,10 @@ def neural_grid(
     drawn, labels = sample_labelled_points(obstacles, points, rng, workspace=workspace)
     network = train_map(drawn, labels, inflation=INFLATION, steps=steps, seed=seed)
     return PointNetworkMap.of(network, workspace).grid
+
+
+def lowered(grid: DistanceGrid, other: OccupancyMap) -> DistanceGrid:
+    """Return a grid that knows of what another map knows, too, as far as it reaches."""
+    values = grid.values.copy()
+    other.fill(values, grid.origin, grid.spacing)
+    return DistanceGrid(grid.origin, grid.spacing, values)

@@ -57,5 +57,8 @@ class Mover(Protocol):
         ...
 
     def check(self, trajectories: FloatArray) -> Check:
-        """Check whole paths (P, T, D), between their samples, too, on the exact obstacles."""
+        """Check whole paths (P, T, D), between their samples, too.
+
+        It asks bodies themselves, and of a `PointCloud` the map that was learned of it.
+        """
         ...

@@ -31,8 +31,11 @@ class PathPlan:
         weights: (P, K, D) of the primitive, in its normalised coordinates.
         costs: unweighted cost of each particle by name, each (P,); `prior` is -log p(w) but for a
             constant, given what was conditioned on.
-        collision_free: (P,) whether nothing is touched, between samples, too.
+        collision_free: (P,) whether nothing is touched, between samples, too; of a `PointCloud` as
+            far as the map that was learned of it knows, and whether the path stays where it does.
         clearance: (P,) least distance to an obstacle, negative inside; infinity without obstacles.
+            What is farther from a `PointCloud` than 0.15 extents (m for a robot) is said to be
+            that far.
         executable: (P,) whether limits of joints and velocities hold; True without a robot.
         duration: (P,) s, shortest execution; NaN without a robot.
         missed: by how much (P,) each particle misses what was asked for, by its name: "start",
@@ -82,7 +85,7 @@ class PathPlan:
     @property
     def planar_obstacles(self) -> tuple[Circle | Rectangle, ...]:
         """The obstacles in the plane."""
-        return tuple(o for o in self.obstacles if not isinstance(o, Obstacle))
+        return tuple(o for o in self.obstacles if isinstance(o, Circle | Rectangle))
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw paths in the plane; see `smp_planner.library.drawing.draw`."""
@@ -93,7 +96,7 @@ class PathPlan:
         """(P, M) in the plane or (P, M, 2) in space: how each path goes round each obstacle.
 
         See `smp_planner.modes`; in space, over and under is along an obstacle's own z axis, and of
-        a robot it is the tool's way that counts.
+        a robot it is the tool's way that counts. M counts bodies: a `PointCloud` has no such.
 
         Raises:
             ValueError: the paths are neither in the plane nor in space.

@@ -10,14 +10,24 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from smp_gym.scene import Obstacle
+from smp_planner.library.cloud import LearnedCloud
 from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
 from smp_planner.occupancy.analytic import (
     PackedObstacles,
     signed_distance,
     signed_distance_and_gradient,
 )
+from smp_planner.occupancy.grid import DistanceGrid
 
-__all__ = ["TOLERANCE", "Ball", "DistanceMap", "exact_map", "in_space", "path_clearance"]
+__all__ = [
+    "TOLERANCE",
+    "Ball",
+    "DistanceMap",
+    "exact_map",
+    "in_space",
+    "nearest_of",
+    "path_clearance",
+]
 
 FloatArray = NDArray[np.float64]
 DistanceMap = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -39,36 +49,56 @@ def exact_map(obstacles: tuple[Obstacle, ...]) -> DistanceMap:
     return query
 
 
+def nearest_of(first: DistanceMap, second: DistanceMap) -> DistanceMap:
+    """Return the distance to what either of two maps knows."""
+
+    def query(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        (distance, away), (other, other_away) = first(points), second(points)
+        return np.minimum(distance, other), np.where((distance <= other)[:, None], away, other_away)
+
+    return query
+
+
 def path_clearance(
-    trajectories: FloatArray, obstacles: tuple[Obstacle, ...], tolerance: float = TOLERANCE
+    trajectories: FloatArray,
+    obstacles: tuple[Obstacle, ...],
+    tolerance: float = TOLERANCE,
+    grid: DistanceGrid | None = None,
 ) -> FloatArray:
     """Return the least distance (P,) to obstacles of paths (P, T, 3), straight between samples.
 
-    The distance changes along a segment by no more than its length, so over a segment of length L
-    with distances a and b at its ends it is at least (a + b - L) / 2; where that does not settle
-    the matter, the segment is halved.
+    The distance changes along a segment by no more than its length (times the grid's steepness), so
+    over a segment of length L with distances a and b at its ends it is at least (a + b - L) / 2;
+    where that does not settle the matter, the segment is halved.
 
     Args:
         trajectories: (P, T, 3), T at least 2.
-        obstacles: bodies in the same coordinates; without any, the result is infinite.
+        obstacles: bodies in the same coordinates.
         tolerance: by which the result may be too large.
+        grid: distance to what else there is; without it and bodies, the result is infinite.
     """
     packed = PackedObstacles.of(obstacles)
-    distance = signed_distance(trajectories, packed)
+    steepness = 1.0 if grid is None else max(grid.steepness, 1.0)
+
+    def nearest(points: FloatArray) -> FloatArray:
+        found = signed_distance(points, packed)
+        return found if grid is None else np.minimum(found, grid.query(points))
+
+    distance = nearest(trajectories)
     least = distance.min(axis=1)
-    if not obstacles:
+    if not obstacles and grid is None:
         return np.asarray(least)
     path = np.repeat(np.arange(len(trajectories)), trajectories.shape[1] - 1)
     begin, end = (trajectories[:, s].reshape(-1, 3) for s in (slice(-1), slice(1, None)))
     first, last = distance[:, :-1].ravel(), distance[:, 1:].ravel()
     for _ in range(_HALVINGS):
-        bound = (first + last - np.linalg.norm(end - begin, axis=1)) / 2
+        bound = (first + last - steepness * np.linalg.norm(end - begin, axis=1)) / 2
         open_ = bound < least[path] - tolerance
         if not open_.any():
             break
         path, begin, end = path[open_], begin[open_], end[open_]
         middle = (begin + end) / 2
-        between = signed_distance(middle, packed)
+        between = nearest(middle)
         np.minimum.at(least, path, between)
         first = np.concatenate([first[open_], between])
         last = np.concatenate([between, last[open_]])
@@ -85,11 +115,13 @@ class Ball:
         obstacles: in normalised coordinates.
         radius: likewise.
         distance: the map that the costs ask; None where there is no obstacle.
+        cloud: what is known of a `PointCloud`, normalised; None if there is none.
     """
 
     obstacles: tuple[Obstacle, ...]
     radius: float
     distance: DistanceMap | None
+    cloud: LearnedCloud | None = None
 
     def collision(
         self, trajectories: FloatArray, edge_width: float, margin: float
@@ -110,14 +142,17 @@ class Ball:
         return {}
 
     def check(self, trajectories: FloatArray) -> Check:
-        """Check whole paths on the exact obstacles; see `Mover`."""
+        """Check whole paths; see `Mover`."""
         count = len(trajectories)
         clearance = np.full(count, np.inf)
-        if self.obstacles:
-            clearance = path_clearance(in_space(trajectories), self.obstacles) - self.radius
-        return Check(
-            clearance, clearance >= TOLERANCE, np.ones(count, np.bool_), np.full(count, np.nan)
-        )
+        grid = None if self.cloud is None else self.cloud.grid
+        if self.obstacles or grid is not None:
+            paths = in_space(trajectories)
+            clearance = path_clearance(paths, self.obstacles, grid=grid) - self.radius
+        free = clearance >= TOLERANCE
+        if self.cloud is not None:
+            free &= self.cloud.covers(trajectories, self.radius)
+        return Check(clearance, free, np.ones(count, np.bool_), np.full(count, np.nan))
 
 
 def in_space(trajectories: FloatArray) -> FloatArray:

@@ -43,9 +43,10 @@ class AdaptSettings(BaseModel):
     """Map and costs of an adaptation.
 
     Attributes:
-        map: "exact" asks the obstacles themselves; "neural" trains a network from labelled points
-            of the scene, the paper's way (Eq. (12)), which takes seconds.
-        map_points: how many points "neural" learns from.
+        map: "exact" asks bodies themselves; "neural" trains a network from labelled points of the
+            scene, the paper's way (Eq. (12)), which takes seconds. Of a `PointCloud` a network is
+            trained in any case, once.
+        map_points: how many points a network learns from.
         map_steps: of its training.
         planning_steps: steps of phase at which costs are evaluated.
         samples: T of the trajectories that are returned.

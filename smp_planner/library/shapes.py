@@ -1,4 +1,4 @@
-"""Obstacles of paths: circles and rectangles in the plane, bodies in space."""
+"""Obstacles of paths: circles and rectangles in the plane, bodies and point clouds in space."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.scene import Obstacle
+from smp_planner.library.cloud import PointCloud
 from smp_planner.library.frame import Frame
 
 __all__ = ["Circle", "PathObstacle", "Rectangle", "bodies", "outline"]
@@ -70,12 +71,13 @@ class Rectangle:
             raise ValueError(f"Rectangle.angle must be finite, got {self.angle}")
 
 
-PathObstacle = Circle | Rectangle | Obstacle
-"""What a path must not touch: `Circle` and `Rectangle` in the plane, `Obstacle` in space."""
+PathObstacle = Circle | Rectangle | Obstacle | PointCloud
+"""What a path must not touch: `Circle` and `Rectangle` in the plane, `Obstacle` and one
+`PointCloud` in space."""
 
 
 def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, ...]:
-    """Return obstacles as bodies in normalised coordinates.
+    """Return obstacles as bodies in normalised coordinates; of a `PointCloud` there is none.
 
     A path in the plane runs at z = 0 among upright columns, so that distances are those of the
     plane.
@@ -96,8 +98,14 @@ def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, .
     wanted: Any = (Circle, Rectangle) if dimension == 2 else Obstacle
     placed = []
     for index, obstacle in enumerate(obstacles):
+        if isinstance(obstacle, PointCloud) and dimension == 3:
+            continue
         if not isinstance(obstacle, wanted):
-            names = "Circle or Rectangle" if dimension == 2 else "smp_gym.scene.Obstacle"
+            names = (
+                "Circle or Rectangle"
+                if dimension == 2
+                else "smp_gym.scene.Obstacle or a PointCloud"
+            )
             raise ValueError(
                 f"obstacles[{index}] of a path with D = {dimension} must be {names}, "
                 f"got {obstacle!r}"
@@ -106,7 +114,7 @@ def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, .
     return tuple(placed)
 
 
-def _body(obstacle: PathObstacle, frame: Frame) -> Obstacle:
+def _body(obstacle: Circle | Rectangle | Obstacle, frame: Frame) -> Obstacle:
     if isinstance(obstacle, Obstacle):
         return Obstacle(
             shape=obstacle.shape,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -111,6 +112,18 @@ class DistanceGrid:
             )
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "values", values)
+
+    @property
+    def workspace(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Lower and upper corner, m."""
+        upper = self.origin + self.spacing * (np.array(self.values.shape) - 1)
+        return tuple(self.origin.tolist()), tuple(upper.tolist())
+
+    @cached_property
+    def steepness(self) -> float:
+        """Bound on the change of `query` per metre of way, outside the grid, too."""
+        largest = [np.abs(np.diff(self.values, axis=axis)).max() for axis in range(3)]
+        return float(np.linalg.norm(largest)) / self.spacing
 
     def query(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return the interpolated signed distance (...) m at points (..., 3) m.

@@ -1,0 +1,204 @@
+"""A point cloud as an obstacle, and the map that the paper's network learns of it, Eq. (12).
+
+A camera gives no bodies: the map is all that is known of the scene, so that plans are made and
+judged on it. It is learned once for a cloud and a workspace and kept with the cloud.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from smp_planner.library.frame import Frame
+from smp_planner.library.maps import Workspace
+from smp_planner.library.settings import AdaptSettings
+from smp_planner.occupancy.grid import DistanceGrid
+from smp_planner.occupancy.neural import INFLATION, PointNetworkMap, train_map
+from smp_planner.occupancy.occupancy_map import TRUNCATION
+from smp_planner.occupancy.point_cloud import label_point_cloud
+
+__all__ = ["THICKNESS", "LearnedCloud", "PointCloud", "learned_cloud"]
+
+FloatArray = NDArray[np.float64]
+
+THICKNESS = 0.05
+"""Extents (m for a robot), how deep things are taken to be unless the cloud says otherwise."""
+
+_SEED = 0
+"""Of points and training: the map belongs to the cloud, whatever the seed of a plan."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCloud:
+    """What is known of a scene from a cloud, in normalised coordinates (m for a robot).
+
+    Attributes:
+        map: the learned distance; None if no point of the cloud is where the body can be.
+        bounds: corners of the box that paths must stay in, because points of the cloud outside of
+            it were not learned; None if there are none.
+    """
+
+    map: PointNetworkMap | None
+    bounds: Workspace | None
+
+    @property
+    def grid(self) -> DistanceGrid | None:
+        """The map as a grid."""
+        return None if self.map is None else self.map.grid
+
+    def covers(self, trajectories: FloatArray, radius: float) -> NDArray[np.bool_]:
+        """Return (P,) whether balls whose centres follow paths (P, T, 3) stay where it was learned.
+
+        Args:
+            trajectories: (P, T, 3).
+            radius: of the balls.
+        """
+        if self.bounds is None:
+            return np.ones(len(trajectories), np.bool_)
+        lower, upper = (np.asarray(corner) for corner in self.bounds)
+        inside = (trajectories - radius >= lower) & (trajectories + radius <= upper)
+        return np.asarray(inside.all(axis=(1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points on surfaces, as a depth camera sees them, that paths in space or a robot shall avoid.
+
+    What lies behind a seen surface, within a thickness, is taken for occupied, and all else that
+    was not seen for free: what is thicker than that may be entered from behind. Points of the
+    moving body itself must have been taken out.
+
+    Attributes:
+        points: (N, 3) in the unit of the path; for a robot m, in the frame of its root link.
+        sensor: (3,) where the camera stood, or (N, 3) for each point its own, so that clouds of
+            several cameras make one; same unit.
+        thickness: how deep things are behind their surface, same unit; None takes `THICKNESS`.
+        inflation: by which things are grown while the map is learned, which takes it off again;
+            same unit. Most points must have a neighbour within it. None takes 0.02 extents (m for
+            a robot).
+        maps: what has been learned of it, by workspace and settings.
+    """
+
+    points: FloatArray
+    sensor: FloatArray
+    thickness: float | None = None
+    inflation: float | None = None
+    maps: dict[Any, PointNetworkMap] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        points = _fixed("PointCloud.points", self.points)
+        if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+            raise ValueError(
+                f"PointCloud.points must have shape (N, 3), N at least 1, got {points.shape}"
+            )
+        sensor = _fixed("PointCloud.sensor", self.sensor)
+        if sensor.shape not in ((3,), points.shape):
+            raise ValueError(
+                f"PointCloud.sensor must have shape (3,) or {points.shape}, got {sensor.shape}"
+            )
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "sensor", sensor)
+        if self.thickness is not None and not 0.0 <= self.thickness < math.inf:
+            raise ValueError(f"PointCloud.thickness must not be negative, got {self.thickness}")
+        if self.inflation is not None and not 0.0 < self.inflation < math.inf:
+            raise ValueError(f"PointCloud.inflation must be positive, got {self.inflation}")
+        self.refuse_near_sensor(self.inflation or 0.0)
+
+    def __repr__(self) -> str:
+        """Return what it is, without its points."""
+        return f"PointCloud({len(self.points)} points)"
+
+    def refuse_near_sensor(self, inflation: float) -> None:
+        """Raise a ValueError if a sensor is within the inflation of what it sees."""
+        nearest = float(np.linalg.norm(self.points - self.sensor, axis=1).min())
+        if nearest <= inflation:
+            raise ValueError(
+                f"PointCloud.sensor must be farther than {inflation:.6g} from what it sees, got a "
+                f"point {nearest:.6g} from it"
+            )
+
+    def refuse_sparse(self, inflation: float) -> None:
+        """Raise a ValueError if half of several points have no neighbour within the inflation."""
+        if len(self.points) < 2:
+            return
+        gap = float(np.median(cKDTree(self.points).query(self.points, k=2)[0][:, 1]))
+        if gap > inflation:
+            raise ValueError(
+                f"PointCloud.points must be denser than inflation, {inflation:.6g}, got points "
+                f"whose nearest neighbours are {gap:.6g} away in the median"
+            )
+
+
+def learned_cloud(
+    cloud: PointCloud,
+    frame: Frame,
+    reachable: Workspace,
+    radius: float,
+    settings: AdaptSettings,
+) -> LearnedCloud:
+    """Return what is known of a cloud where the moving body can be.
+
+    Args:
+        cloud: in the user's unit.
+        frame: that makes normalised coordinates of it.
+        reachable: corners of the box in which the body can be, normalised.
+        radius: of the largest ball that asks, normalised; the map tells distances up to it and
+            `TRUNCATION` more apart.
+        settings: how many points and steps to learn with.
+
+    Raises:
+        ValueError: the sensor is within the inflation of a point, or the points are sparser.
+    """
+    inflation = cloud.inflation if cloud.inflation is not None else INFLATION * frame.scale
+    thickness = cloud.thickness if cloud.thickness is not None else THICKNESS * frame.scale
+    cloud.refuse_near_sensor(inflation)
+    depth = float(frame.lengths_inwards(thickness + inflation))
+    lower, upper = (np.asarray(corner, np.float64) for corner in reachable)
+    points = frame.inwards(cloud.points)
+    seen_outside = not ((points >= lower) & (points <= upper)).all()
+    bounds = (tuple(lower), tuple(upper)) if seen_outside else None
+    # What is seen outside may reach inside by as much.
+    near = ((points >= lower - depth) & (points <= upper + depth)).all(axis=1)
+    if not near.any():
+        return LearnedCloud(None, bounds)
+    around = depth + radius + TRUNCATION
+    workspace = (
+        tuple(np.maximum(lower - depth, points[near].min(axis=0) - around).tolist()),
+        tuple(np.minimum(upper + depth, points[near].max(axis=0) + around).tolist()),
+    )
+    size = settings.map_points, settings.map_steps
+    key = (*frame.offset, frame.scale, *workspace, radius, *size)
+    if key not in cloud.maps:
+        cloud.refuse_sparse(inflation)
+        drawn, labels = label_point_cloud(
+            points,
+            frame.inwards(cloud.sensor),
+            settings.map_points,
+            np.random.default_rng([_SEED, 2]),
+            thickness=float(frame.lengths_inwards(thickness)),
+            inflation=float(frame.lengths_inwards(inflation)),
+            workspace=workspace,
+        )
+        network = train_map(
+            drawn,
+            labels,
+            inflation=float(frame.lengths_inwards(inflation)),
+            steps=settings.map_steps,
+            seed=_SEED,
+        )
+        cloud.maps[key] = PointNetworkMap.of(network, workspace, truncation=radius + TRUNCATION)
+    return LearnedCloud(cloud.maps[key], bounds)
+
+
+def _fixed(name: str, value: ArrayLike) -> FloatArray:
+    """Return a copy that cannot be changed: the map must not outlive the points."""
+    array = np.array(value, np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
+    array.setflags(write=False)
+    return array
