@@ -47,7 +47,12 @@ _OWN: dict[tuple[str, str], dict[str, Any]] = {
         "via_share": 0.25,
         "retries": 4,
     },
-    ("smp", "PushLiftBox"): {"obstacle_weight": 20.0, "iterations": 70},
+    ("smp", "PushLiftBox"): {
+        "smooth_length_scale": 0.14,
+        "basis_functions": 20,
+        "obstacle_weight": 20.0,
+        "iterations": 70,
+    },
     ("cpromp", "DrawS"): {"via_share": 0.25},
     ("cpromp", "PushLiftBox"): {"obstacle_weight": 30.0, "margin": 0.02, "iterations": 400},
     ("prompt_o", "Placement"): {**_ROOMY, "rounds": 16},
@@ -69,10 +74,11 @@ TASK_SETTINGS: dict[tuple[str, str], dict[str, Any]] = {
 Freedom is equal for all methods that adapt the primitive, so that they start from one prior.
 
 The checkpoints of a stroke hold the pen all along, so a way round an obstacle is short and sharp:
-it needs more freedom, and obstacles that outweigh what holds it. `smp` also has freedom of half the
-length scale, over a finer basis than the paper's 15 functions; the baselines, whose draws keep the
-spread of the prior wherever it is not needed, have not. A push holds the middle of the way, so the
-ways before and after it are short and must bend more sharply, too; fewer iterations do then.
+it needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
+way, so the ways before and after it are short and must bend more sharply, too; fewer iterations do
+then. On both, `smp` has freedom of a shorter length scale over a finer basis than the paper's 15
+functions; the baselines, whose draws keep the spread of the prior wherever it is not needed, have
+not.
 
 What the baselines have of their own is the best of what `scripts/tune_baselines.py` tries: of
 settings within two points of the highest share of particles that succeed, the one nearest to the
