@@ -31,7 +31,7 @@ from smp_planner.experiments.lasa_scenes import (
     learn,
     settings,
 )
-from smp_planner.experiments.tables import Column, Row, rich_table, summarise, write_tables
+from smp_planner.experiments.tables import Column, Row, print_table, summarise, write_tables
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__
@@ -264,7 +264,7 @@ def _report(
 ) -> None:
     console = Console()
     summaries = summarise(rows, by)
-    console.print(rich_table(summaries, columns))
+    print_table(console, summaries, columns)
     if note:
         console.print(note)
     write_tables(rows, summaries, columns, out, name, note)

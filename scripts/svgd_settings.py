@@ -23,7 +23,7 @@ from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
 from smp_planner.benchmark import arm_settings
 from smp_planner.benchmark.options import chosen_names
 from smp_planner.experiments.svgd_settings import EXACT, VARIANTS, Ground, settings_columns
-from smp_planner.experiments.tables import rich_table, summarise, write_tables
+from smp_planner.experiments.tables import print_table, summarise, write_tables
 from smp_planner.inference import SETTINGS
 from smp_planner.inference.smc import SMCSettings
 
@@ -62,7 +62,7 @@ def lasa(
         for setting, seed in track(todo, name, console=console):
             rows.append(ground.row(setting, particles, seed))
         summaries, columns = summarise(rows, ["setting"]), settings_columns(ground)
-        console.print(rich_table(summaries, columns, name))
+        print_table(console, summaries, columns, name)
         note = (
             f"{particles} particles, {repetitions} repetitions; the posterior by {reference_runs} "
             f"runs of {reference_particles} particles."
@@ -127,7 +127,7 @@ def arm(
         "primitive tied to the scene's start and goal."
     )
     write_tables(rows, summaries, arm_settings.COLUMNS, out, "arm", note)
-    console.print(rich_table(summaries, arm_settings.COLUMNS))
+    print_table(console, summaries, arm_settings.COLUMNS)
     console.print(f"wrote arm.csv, .json and .md to {out}", soft_wrap=True)
 
 

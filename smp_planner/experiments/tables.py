@@ -14,9 +14,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 from rich.table import Table
 
-__all__ = ["Column", "Row", "Spread", "rich_table", "summarise", "write_tables"]
+__all__ = ["Column", "Row", "Spread", "print_table", "summarise", "write_tables"]
+
+_WIDEST = 1000
+"""Characters in a line of a printed table."""
 
 Row = Mapping[str, str | float | None]
 
@@ -113,14 +117,16 @@ def _number(name: str, value: str | float | None) -> float | None:
     return value
 
 
-def rich_table(summaries: Sequence[Summary], columns: Sequence[Column], title: str = "") -> Table:
-    """Return summaries as a table for the terminal."""
-    table = Table(title=title or None)
+def print_table(
+    console: Console, summaries: Sequence[Summary], columns: Sequence[Column], title: str = ""
+) -> None:
+    """Print summaries as a table, whole even where the terminal is narrower than it."""
+    table = Table(title=title or None, title_justify="left")
     for column in columns:
-        table.add_column(column.title)
+        table.add_column(column.title, no_wrap=True)
     for summary in summaries:
         table.add_row(*(column.text(summary[column.name]) for column in columns))
-    return table
+    Console(file=console.file, width=_WIDEST).print(table)
 
 
 def write_tables(

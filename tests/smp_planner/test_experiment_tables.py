@@ -1,13 +1,15 @@
 """Tables of repeated measurements."""
 
 import csv
+import io
 import json
 import statistics
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from smp_planner.experiments.tables import Column, Spread, rich_table, summarise, write_tables
+from smp_planner.experiments.tables import Column, Spread, print_table, summarise, write_tables
 
 ROWS = [
     {"method": "b", "free": 1.0, "distance": 2.5},
@@ -49,7 +51,10 @@ def test_files_hold_the_same(tmp_path: Path) -> None:
     assert lines[2] == "| b | 5.0 ± 4.6 (1–10) | 3.00 ± 0.71 |"
     assert lines[3] == "| a | 42.0 ± 0.0 (42–42) | – |"
     assert lines[-1] == "Three repetitions."
-    assert rich_table(summaries, COLUMNS).row_count == 2
+    narrow = Console(width=20, file=io.StringIO())
+    print_table(narrow, summaries, COLUMNS)
+    assert isinstance(narrow.file, io.StringIO)
+    assert "42.0 ± 0.0 (42–42)" in narrow.file.getvalue()
 
 
 def test_errors() -> None:
