@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-__all__ = ["Schedule", "cyclic_annealing", "linear_decay", "tanh_annealing"]
+__all__ = ["Schedule", "check_steps", "cyclic_annealing", "linear_decay", "tanh_annealing"]
 
 Schedule = Callable[[int, int, float], float]
 """From iteration, iterations and the fraction of them that is annealed to a factor in (0, 1]."""
@@ -88,3 +88,17 @@ def linear_decay(iteration: int, iterations: int, final: float) -> float:
     if not 0.0 <= final <= 1.0:
         raise ValueError(f"final must be in [0, 1], got {final}")
     return 1.0 - (1.0 - final) * iteration / max(iterations - 1, 1)
+
+
+def check_steps(step_size: float, final_step: float, iterations: int) -> None:
+    """Check what settings say of the steps of a run.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    if not (math.isfinite(step_size) and step_size > 0):
+        raise ValueError(f"step_size must be positive and finite, got {step_size}")
+    if iterations < 1:
+        raise ValueError(f"iterations must be at least 1, got {iterations}")
+    if not 0.0 <= final_step <= 1.0:
+        raise ValueError(f"final_step must be in [0, 1], got {final_step}")

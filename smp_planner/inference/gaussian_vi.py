@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from smp_planner.inference.annealing import linear_decay
+from smp_planner.inference.annealing import check_steps, linear_decay
 from smp_planner.inference.optimizers import Adam, Optimizer
 
 __all__ = ["GaussianState", "GaussianVISettings", "init_gaussian", "step_gaussian"]
@@ -41,12 +41,7 @@ class GaussianVISettings:
     iterations: int = 100
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.step_size) and self.step_size > 0):
-            raise ValueError(f"step_size must be positive and finite, got {self.step_size}")
-        if self.iterations < 1:
-            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
-        if not 0.0 <= self.final_step <= 1.0:
-            raise ValueError(f"final_step must be in [0, 1], got {self.final_step}")
+        check_steps(self.step_size, self.final_step, self.iterations)
 
 
 class GaussianState(NamedTuple):

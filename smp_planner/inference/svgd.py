@@ -20,7 +20,13 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from smp_planner.inference.annealing import Schedule, cyclic_annealing, linear_decay, tanh_annealing
+from smp_planner.inference.annealing import (
+    Schedule,
+    check_steps,
+    cyclic_annealing,
+    linear_decay,
+    tanh_annealing,
+)
 from smp_planner.inference.kernels import (
     RBF,
     InverseMultiquadric,
@@ -101,12 +107,7 @@ class SVGDSettings:
     repulsion: bool = True
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.step_size) and self.step_size > 0):
-            raise ValueError(f"step_size must be positive and finite, got {self.step_size}")
-        if self.iterations < 1:
-            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
-        if not 0.0 <= self.final_step <= 1.0:
-            raise ValueError(f"final_step must be in [0, 1], got {self.final_step}")
+        check_steps(self.step_size, self.final_step, self.iterations)
         if not 0.0 <= self.annealing <= 1.0:
             raise ValueError(f"annealing must be in [0, 1], got {self.annealing}")
         if not (math.isfinite(self.tolerance) and self.tolerance > 0):

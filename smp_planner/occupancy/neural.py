@@ -39,10 +39,12 @@ INFLATION = 0.02
 
 _HEADER = {"format": "smp-point-network", "version": 1}
 _CHUNK = 1 << 16
-_NEAR = 0.03
+NEAR = 0.03
 """Metres from the labelled surface within which most of the points are drawn."""
 
-_UNIFORM_SHARE = 0.25
+UNIFORM_SHARE = 0.25
+"""Share of the points that is drawn from the whole workspace."""
+
 _PEAK_LEARNING_RATE = 1e-2
 
 
@@ -174,7 +176,7 @@ def sample_labelled_points(
         raise ValueError(f"count and inflation must not be negative, got {count} and {inflation}")
     lower, upper = (np.asarray(corner, np.float64) for corner in workspace)
     packed = PackedObstacles.of(obstacles)
-    reach = packed.half_extents + inflation + _NEAR
+    reach = packed.half_extents + inflation + NEAR
     low = np.maximum(packed.position - reach, lower)
     high = np.minimum(packed.position + reach, upper)
     present = np.flatnonzero((low < high).all(axis=1))
@@ -182,12 +184,12 @@ def sample_labelled_points(
         raise ValueError(
             "obstacles must hold a body in the workspace, or there is nothing to learn"
         )
-    uniform = int(_UNIFORM_SHARE * count)
+    uniform = int(UNIFORM_SHARE * count)
     points = rng.uniform(lower, upper, (uniform, 3))
     while len(points) < count:
         body = rng.choice(present, count)
         drawn = rng.uniform(low[body], high[body])
-        near = np.abs(signed_distance(drawn, packed) - inflation) < _NEAR
+        near = np.abs(signed_distance(drawn, packed) - inflation) < NEAR
         points = np.concatenate([points, drawn[near]])
     points = points[:count]
     return points, signed_distance(points, packed) <= inflation

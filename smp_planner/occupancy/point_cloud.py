@@ -15,14 +15,10 @@ from scipy.spatial import cKDTree
 
 from smp_planner.occupancy.analytic import check_points
 from smp_planner.occupancy.grid import WORKSPACE
-from smp_planner.occupancy.neural import INFLATION
+from smp_planner.occupancy.neural import INFLATION, NEAR, UNIFORM_SHARE
 
 __all__ = ["label_point_cloud"]
 
-_NEAR = 0.03
-"""Metres from the labelled surface within which most of the points are drawn."""
-
-_UNIFORM_SHARE = 0.25
 _LAYER = 0.01
 """Metres between the layers of points that stand for what is behind a surface."""
 
@@ -88,11 +84,11 @@ def label_point_cloud(
     solid = (surface + depths[:, None, None] * (rays / lengths)).reshape(-1, 3)
     tree = cKDTree(solid)
 
-    points = rng.uniform(lower, upper, (int(_UNIFORM_SHARE * count), 3))
-    reach = inflation + _NEAR
+    points = rng.uniform(lower, upper, (int(UNIFORM_SHARE * count), 3))
+    reach = inflation + NEAR
     while len(points) < count:
         drawn = solid[rng.integers(len(solid), size=count)] + rng.uniform(-reach, reach, (count, 3))
-        near = np.abs(tree.query(drawn)[0] - inflation) < _NEAR
+        near = np.abs(tree.query(drawn)[0] - inflation) < NEAR
         points = np.concatenate(
             [points, drawn[near & ((drawn >= lower) & (drawn <= upper)).all(axis=1)]]
         )
