@@ -14,8 +14,8 @@ from rich.progress import Progress
 from rich.table import Table
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.playback import play
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.rollout import play
 from smp_gym.sampling import sample_with_witness
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark.options import chosen_names

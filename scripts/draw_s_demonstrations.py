@@ -15,12 +15,12 @@ from rich.table import Table
 from scipy.interpolate import CubicSpline
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.kinematics import JOINT_VELOCITY
+from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.robot.kinematics import JOINT_VELOCITY
 from smp_gym.scene import STROKE_POINTS, Goal, Scene
-from smp_gym.strokes import follow, pen_path
-from smp_gym.tasks.draw_s import PEN_CONFIGURATION, equal_arc
+from smp_gym.tasks.draw_s.rules import PEN_CONFIGURATION, equal_arc
+from smp_gym.tasks.draw_s.strokes import follow, pen_path
 from smp_planner.experiments.lasa import demonstrations
 
 TASK = "DrawS"

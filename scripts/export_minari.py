@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.minari_export import Act, dataset_path, export_demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.datasets.minari_export import Act, dataset_path, export_demonstrations
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.tracking import Track, gripper_event
+from smp_planner.policy.tracking import Track, gripper_event
 
 
 def acts(demonstrations: Demonstrations) -> list[Act]:

@@ -16,7 +16,6 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from smp_planner.adapt import AnyOf, Circle, ViaPoint
 from smp_planner.adaptation import Stein
 from smp_planner.experiments import boxes, comparison, modulation, tuning
 from smp_planner.experiments.figures import draw_side_by_side
@@ -32,6 +31,7 @@ from smp_planner.experiments.lasa_scenes import (
     settings,
 )
 from smp_planner.experiments.tables import Column, Row, print_table, summarise, write_tables
+from smp_planner.library.smp import AnyOf, Circle, ViaPoint
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__

@@ -20,11 +20,11 @@ import typer
 from rich.console import Console
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.frozen import FrozenEpisode, write_episodes
+from smp_gym.datasets.frozen import FrozenEpisode, write_episodes
 from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS, Scene
 from smp_planner.benchmark.options import chosen_names
-from smp_planner.policy import PlannerPolicy
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 CROWDED = tuple(name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles)
 """Difficulties with obstacles: without, there is nothing to place."""

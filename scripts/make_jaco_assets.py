@@ -23,7 +23,7 @@ from jaco_visuals import BODIES, obj
 from rich.console import Console
 from rich.table import Table
 
-from smp_gym.kinematics import PEN_END, PEN_RADIUS, PEN_TIP
+from smp_gym.robot.kinematics import PEN_END, PEN_RADIUS, PEN_TIP
 
 DEFAULT_OUT = Path(__file__).parents[1] / "envs_assets" / "jaco"
 

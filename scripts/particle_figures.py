@@ -9,13 +9,13 @@ import typer
 from rich.console import Console
 
 from smp_planner.benchmark.options import chosen_names
-from smp_planner.benchmark.particle_figures import (
+from smp_planner.experiments.particle_figures import (
     draw_before_and_after,
     draw_two_modes,
     draw_two_sides,
     find_two_modes,
 )
-from smp_planner.benchmark.table_two.scenes import load_scenes
+from smp_planner.experiments.table_two.scenes import load_scenes
 
 _FIGURES = ("particles", "sides", "modes")
 _TWO_MODES = ("Placement", "PushLiftBox")

@@ -17,11 +17,11 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
+from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation, decode
+from smp_gym.robot.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
 from smp_gym.scene import Goal, ManipulatedObject, Scene
-from smp_gym.tasks import push_lift_box as task
+from smp_gym.tasks.push_lift_box import rules as task
 
 TASK = "PushLiftBox"
 SEED = 0

@@ -23,16 +23,17 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.kinematics import (
+from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
+from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.robot.kinematics import (
     GRASP_CENTER,
     JOINT_VELOCITY,
     end_effector_pose,
     inverse_kinematics,
 )
-from smp_gym.observation import CONTROL_PERIOD, decode
 from smp_gym.scene import TASKS, Configuration, Goal, ManipulatedObject, Scene
-from smp_gym.tasks import double_sided_placement, placement
+from smp_gym.tasks.double_sided_placement import rules as double_sided_placement
+from smp_gym.tasks.placement import rules as placement
 
 SEED = 0
 

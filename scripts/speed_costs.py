@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner.costs import REACH, CollisionCost, SelfCollisionCost
+from smp_planner.collision.costs import REACH, CollisionCost, SelfCollisionCost
+from smp_planner.collision.robot_model import RobotModel, jaco_model
+from smp_planner.collision.verification import check_collisions
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
-from smp_planner.robot_model import RobotModel, jaco_model
-from smp_planner.verification import check_collisions
 
 MARGIN = 0.01
 

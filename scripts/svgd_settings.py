@@ -20,8 +20,8 @@ from rich.progress import (
 )
 
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
-from smp_planner.benchmark import arm_settings
 from smp_planner.benchmark.options import chosen_names
+from smp_planner.experiments import arm_settings
 from smp_planner.experiments.svgd_settings import EXACT, VARIANTS, Ground, settings_columns
 from smp_planner.experiments.tables import print_table, summarise, write_tables
 from smp_planner.inference import SETTINGS

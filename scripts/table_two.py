@@ -14,7 +14,7 @@ from smp_gym.scene import TASKS
 from smp_planner.benchmark.options import chosen_names
 from smp_planner.benchmark.row_file import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
-from smp_planner.benchmark.table_two import figure, repetitions, report, running, scenes
+from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
 
 app = typer.Typer(add_completion=False)
 

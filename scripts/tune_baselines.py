@@ -26,7 +26,7 @@ from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
 from smp_planner.benchmark.options import chosen_names
 from smp_planner.benchmark.store import write_json
 from smp_planner.planners.judging import REACHED
-from smp_planner.policy import PlannerPolicy
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 CANDIDATES: dict[str, tuple[dict[str, Any], ...]] = {
     "cpromp": (

@@ -14,9 +14,8 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from smp_gym.end_effector_control import joint_action
+from smp_gym.control import joint_action
 from smp_gym.episode_state import EpisodeState, fingerprint
-from smp_gym.jaco import ACTION_SIZE
 from smp_gym.observation import (
     CONTROL_PERIOD,
     CONTROLS,
@@ -26,6 +25,9 @@ from smp_gym.observation import (
     Observation,
     observation_space,
 )
+from smp_gym.physics.jaco import ACTION_SIZE
+from smp_gym.physics.workcell import Workcell
+from smp_gym.physics.world import Camera
 from smp_gym.sampling import sample_of_family
 from smp_gym.scene import (
     DIFFICULTIES,
@@ -35,8 +37,6 @@ from smp_gym.scene import (
     Scene,
 )
 from smp_gym.tasks import make_task
-from smp_gym.workcell import Workcell
-from smp_gym.world import Camera
 
 __all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "ManipulationEnv"]
 
@@ -58,9 +58,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     """A manipulation task among obstacles, drawn anew in each episode.
 
     **Actions** are `Box(-1, 1, (7,))`: six joint velocities as fractions of the joints' limits
-    (`smp_gym.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. With ``control``
-    "end_effector" the first six are instead linear and angular velocity of the end effector in the
-    base frame, as fractions of 0.15 m/s and 0.5 rad/s (see `smp_gym.end_effector_control`). An
+    (`smp_gym.robot.kinematics.JOINT_VELOCITY`), and the gripper's rate, +1 closing. With
+    ``control`` "end_effector" the first six are instead linear and angular velocity of the end
+    effector in the base frame, as fractions of 0.15 m/s and 0.5 rad/s (see `smp_gym.control`). An
     action with an entry that is not finite or further than 1e-6 outside the box is an error.
 
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
@@ -94,7 +94,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         render_mode: None, "rgb_array", or "human" for a window.
         width: of pictures, pixels.
         height: of pictures, pixels.
-        camera: entries of `smp_gym.world.Camera` that shall differ from the default.
+        camera: entries of `smp_gym.physics.world.Camera` that shall differ from the default.
         control: "joint_velocity" or "end_effector", what actions mean. It stands in the
             observation: planner policies act in joint velocities, and refuse the other mode.
         family: of the scenes, one of `smp_gym.scene.FAMILIES`: single obstacles, or a kind of

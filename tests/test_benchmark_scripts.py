@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 
 ROOT = Path(__file__).parents[1]
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import smp_gym, smp_planner, envs_assets
-from smp_planner.policy import PlannerPolicy
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 for package in (smp_gym, smp_planner, envs_assets):
     assert Path(package.__file__).is_relative_to(sys.prefix), package.__file__

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.push import Push
 from smp_gym.scene import Configuration, ManipulatedObject

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.detours import resample, smoothstep
 from smp_gym.sampling.push import Push

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.carrying import release_configuration

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask, make_task
 from smp_gym.sampling.conversion import to_row
@@ -17,7 +17,8 @@ from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.way import Draw, draw_way
 from smp_gym.scene import Goal, Obstacle
-from smp_gym.tasks import double_sided_placement, placement
+from smp_gym.tasks.double_sided_placement import rules as double_sided_placement
+from smp_gym.tasks.placement import rules as placement
 
 __all__ = [
     "double_sided_tasks",

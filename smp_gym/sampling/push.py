@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling.detours import smoothstep
 
 __all__ = ["Push"]

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
 from smp_gym.sampling.body import ObjectTask, make_task
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.push import Push
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle
-from smp_gym.tasks import push_lift_box
+from smp_gym.tasks.push_lift_box import rules as push_lift_box
 
 __all__ = ["draw_box", "draw_lift", "draw_target", "lift_specification", "standing"]
 

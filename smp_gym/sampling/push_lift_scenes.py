@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
+from smp_gym.robot.inverse_kernels import reach_points, reach_pose
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.detours import smoothstep
-from smp_gym.sampling.inverse_kernels import reach_points, reach_pose
 from smp_gym.sampling.leg_obstacles import choose_on_legs, compare_on_legs, draw_on_legs
 from smp_gym.sampling.legs import (
     Leg,
@@ -36,7 +36,7 @@ from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecificati
 from smp_gym.sampling.way import Draw
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import TABLE, Goal, ManipulatedObject
-from smp_gym.tasks import push_lift_box
+from smp_gym.tasks.push_lift_box import rules as push_lift_box
 
 __all__ = ["draw_push_lift"]
 

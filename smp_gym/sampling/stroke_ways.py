@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import PEN_TIP
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import PEN_TIP
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
 from smp_gym.sampling.detours import smoothstep
 from smp_gym.sampling.witness import WITNESS_SAMPLES, within_limits
-from smp_gym.strokes import follow, moved
-from smp_gym.tasks import draw_s
+from smp_gym.tasks.draw_s import rules as draw_s
+from smp_gym.tasks.draw_s.strokes import follow, moved
 
 __all__ = [
     "BUMP_HALF_WIDTH",

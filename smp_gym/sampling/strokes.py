@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import Body
 from smp_gym.sampling.choice import REPEATED, apart
@@ -43,7 +43,7 @@ from smp_gym.sampling.stroke_ways import (
 )
 from smp_gym.sampling.witness import is_witness, within_limits
 from smp_gym.scene import SHAPES, TABLE, Goal, Scene
-from smp_gym.tasks import draw_s
+from smp_gym.tasks.draw_s import rules as draw_s
 
 __all__ = ["place_without_witness", "sample"]
 

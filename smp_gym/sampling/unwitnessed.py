@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels, strokes
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.candidates import Candidates

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.candidates import Candidates

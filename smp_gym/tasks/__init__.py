@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import TASKS, Scene
-from smp_gym.tasks.double_sided_placement import DoubleSidedPlacement
-from smp_gym.tasks.draw_s import DrawS
-from smp_gym.tasks.placement import Placement
-from smp_gym.tasks.push_lift_box import PushLiftBox
+from smp_gym.tasks.double_sided_placement.rules import DoubleSidedPlacement
+from smp_gym.tasks.draw_s.rules import DrawS
+from smp_gym.tasks.placement.rules import Placement
+from smp_gym.tasks.push_lift_box.rules import PushLiftBox
 from smp_gym.tasks.status import Status
 
 __all__ = ["Status", "Task", "make_task"]

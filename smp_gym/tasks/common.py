@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.observation import GOAL_LAYOUTS
+from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.scene import Scene
 
 __all__ = ["POTENTIAL_PER_METRE", "check_playable", "goal_columns"]

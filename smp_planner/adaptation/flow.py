@@ -12,7 +12,7 @@ from torch import Tensor
 
 from smp_planner.adaptation.gaussian import GaussianAdaptation
 from smp_planner.adaptation.target import Target
-from smp_planner.costs import REFERENCE_STEPS
+from smp_planner.collision.costs import REFERENCE_STEPS
 from smp_planner.movement_primitives import ProMP, phases
 
 __all__ = ["Flow"]

@@ -192,7 +192,7 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
 
 def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     """Write rows and summary, and show the summary."""
-    from smp_gym.frozen import load_episodes
+    from smp_gym.datasets.frozen import load_episodes
     from smp_gym.sampling import sample_of_family
     from smp_planner.benchmark.map_accuracy import measure_default_map
     from smp_planner.benchmark.report import summarise, table

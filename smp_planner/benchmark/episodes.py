@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 from smp_gym.observation import DecodedObservation, decode
 from smp_gym.scene import FAMILIES, Scene
-from smp_planner.policy import PlannerPolicy
-from smp_planner.problem import Plan
+from smp_planner.planning.problem import Plan
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [
     "WARM_UP_SEED",
@@ -44,8 +44,9 @@ class EpisodeKey:
         method: name of the method, one of `smp_planner.planners.PLANNERS`.
         difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         seed: with which the environment is reset; equal seeds are equal scenes for every method.
-        half: of the frozen list that the episode is from, one of `smp_gym.frozen.HALVES`; its seed
-            then names it there. Empty for an episode that is drawn from its seed.
+        half: of the frozen list that the episode is from, one of
+            `smp_gym.datasets.frozen.HALVES`; its seed then names it there. Empty for an episode
+            that is drawn from its seed.
         family: of the scene, one of `smp_gym.scene.FAMILIES`; furniture disregards the difficulty.
     """
 

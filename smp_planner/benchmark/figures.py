@@ -18,9 +18,9 @@ from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import CONTROL_PERIOD
+from smp_gym.robot.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
 from smp_gym.scene import Obstacle, Scene, fixtures
 from smp_planner.benchmark.drawing import Camera, Painter, body_faces
 from smp_planner.benchmark.episodes import (
@@ -30,7 +30,7 @@ from smp_planner.benchmark.episodes import (
     kind_of_scene,
     roll_out,
 )
-from smp_planner.policy import PlannerPolicy
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [
     "Way",

@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 from scipy import stats
 
-from smp_gym.frozen import HALVES
+from smp_gym.datasets.frozen import HALVES
 from smp_planner.benchmark.episodes import EpisodeRow, kind_of_scene
 from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.store import Manifest

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 from smp_gym.scene import DIFFICULTIES, FAMILIES, FURNISHED_TASKS, TASKS
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodePlayer, EpisodeRow, play
 from smp_planner.benchmark.store import EpisodeStore, Manifest, code_digest, versions

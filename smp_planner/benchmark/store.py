@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 from smp_gym.scene import FAMILIES
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.row_file import ResultsError, RowFile, read_rows

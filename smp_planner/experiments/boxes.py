@@ -17,10 +17,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adapt import SMP, AnyOf, Box
 from smp_planner.experiments.lasa_scenes import LasaScene, Method
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column
+from smp_planner.library.smp import SMP, AnyOf, Box
 
 __all__ = ["COLUMNS", "PRIORS", "TAIL", "box_row", "regions"]
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adapt import SMP, PathPlan
+from smp_planner.benchmark.metrics import log_dimensionless_jerk, path_lengths
 from smp_planner.experiments.lasa_scenes import LasaScene, Method
 from smp_planner.experiments.paths import classes, clearances, similarity
 from smp_planner.experiments.tables import Column
-from smp_planner.metrics import log_dimensionless_jerk, path_lengths
-from smp_planner.modes import group
+from smp_planner.library.smp import SMP, PathPlan
+from smp_planner.planning.modes import group
 
 __all__ = [
     "COLUMNS",

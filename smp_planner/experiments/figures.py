@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle as Disc
 from numpy.typing import NDArray
 
-from smp_planner.adapt import AnyOf, ViaPoint
 from smp_planner.experiments.lasa_scenes import LasaScene
+from smp_planner.library.smp import AnyOf, ViaPoint
 
 __all__ = ["draw_side_by_side"]
 

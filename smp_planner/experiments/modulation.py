@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adapt import AnyOf, PathPlan, ViaPoint
 from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column
+from smp_planner.library.smp import AnyOf, PathPlan, ViaPoint
 
 __all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulation_row", "passed_via_points"]
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner import metrics
+from smp_planner.benchmark import metrics
 from smp_planner.library.shapes import Circle
-from smp_planner.modes import Modes, group, signatures_2d
+from smp_planner.planning.modes import Modes, group, signatures_2d
 
 __all__ = ["classes", "clearances", "diversity", "similarity", "total_variation"]
 

@@ -15,16 +15,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from smp_planner.adapt import SMP, AdaptSettings
+from smp_planner.benchmark.metrics import resample, wasserstein
 from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.experiments.paths import clearances, diversity, total_variation
 from smp_planner.experiments.tables import Column
 from smp_planner.inference.smc import SMCSettings, sample_posterior
 from smp_planner.library.point import Ball, exact_map
 from smp_planner.library.shapes import bodies
-from smp_planner.metrics import resample, wasserstein
-from smp_planner.modes import group
+from smp_planner.library.smp import SMP, AdaptSettings
 from smp_planner.movement_primitives import phases
+from smp_planner.planning.modes import group
 
 __all__ = ["Reference", "columns", "exact_draws", "posterior_row", "within_spread"]
 

@@ -9,7 +9,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adapt import SMP, Circle
 from smp_planner.adaptation import Stein
 from smp_planner.experiments.comparison import adapted, common_ends, reference_of
 from smp_planner.experiments.lasa_scenes import (
@@ -24,6 +23,7 @@ from smp_planner.experiments.paths import classes, similarity
 from smp_planner.experiments.posterior import Reference, columns, exact_draws, posterior_row
 from smp_planner.experiments.tables import Column
 from smp_planner.inference.smc import SMCSettings
+from smp_planner.library.smp import SMP, Circle
 
 __all__ = ["EXACT", "POSTERIOR", "VARIANTS", "Ground", "Variant", "settings_columns"]
 

@@ -12,13 +12,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adapt import SMP
 from smp_planner.adaptation import Flow, GaussianVI, OptimisedMean, Stein
+from smp_planner.benchmark.metrics import resample, wasserstein
 from smp_planner.experiments.comparison import adapted
 from smp_planner.experiments.lasa_scenes import LasaScene, Method, settings
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Spread
-from smp_planner.metrics import resample, wasserstein
+from smp_planner.library.smp import SMP
 
 __all__ = ["CANDIDATES", "CLOSE", "COLUMNS", "FIRST_SEED", "best", "tuning_row"]
 

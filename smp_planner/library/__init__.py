@@ -1,1 +1,1 @@
-"""What `smp_planner.adapt` is made of: primitives adapted to scenes of the user's own."""
+"""What `smp_planner.library.smp` is made of: primitives adapted to scenes of the user's own."""

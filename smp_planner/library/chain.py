@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from smp_gym.scene import Obstacle
-from smp_planner.costs import (
+from smp_planner.collision.costs import (
     REFERENCE_STEPS,
     CollisionCost,
     Cost,
@@ -19,13 +19,13 @@ from smp_planner.costs import (
     SelfCollisionCost,
     VelocityLimitCost,
 )
+from smp_planner.collision.robot_model import RobotModel
+from smp_planner.collision.verification import verify
 from smp_planner.library.cloud import LearnedCloud
 from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
 from smp_planner.library.settings import AdaptSettings
 from smp_planner.occupancy.analytic import PackedObstacles
 from smp_planner.occupancy.occupancy_map import TRUNCATION
-from smp_planner.robot_model import RobotModel
-from smp_planner.verification import verify
 
 __all__ = [
     "REFERENCE_SPHERES",

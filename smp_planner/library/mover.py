@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.costs import REFERENCE_STEPS
+from smp_planner.collision.costs import REFERENCE_STEPS
 
 __all__ = ["Check", "Mover", "ValueAndGradient", "steps_scale"]
 

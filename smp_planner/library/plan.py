@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from smp_gym.scene import Obstacle
 from smp_planner.library.drawing import draw
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
-from smp_planner.modes import Modes, group, signatures_2d, signatures_3d
+from smp_planner.planning.modes import Modes, group, signatures_2d, signatures_3d
 
 __all__ = ["PathPlan"]
 
@@ -95,8 +95,9 @@ class PathPlan:
     def signatures(self) -> NDArray[np.int64]:
         """(P, M) in the plane or (P, M, 2) in space: how each path goes round each obstacle.
 
-        See `smp_planner.modes`; in space, over and under is along an obstacle's own z axis, and of
-        a robot it is the tool's way that counts. M counts bodies: a `PointCloud` has no such.
+        See `smp_planner.planning.modes`; in space, over and under is along an obstacle's own z
+        axis, and of a robot it is the tool's way that counts. M counts bodies: a `PointCloud` has
+        no such.
 
         Raises:
             ValueError: the paths are neither in the plane nor in space.

@@ -52,8 +52,8 @@ def read_npz(path: Path) -> list[FloatArray]:
     """Return the demonstrations of an `.npz` file.
 
     It holds one array (N, T, D) under the name `demonstrations` or `configurations` (as the files
-    of `smp_gym.demonstrations`), or arrays (T_j, D) under `demonstration_0`, `demonstration_1` and
-    so on. Pickled objects are refused.
+    of `smp_gym.datasets.demonstrations`), or arrays (T_j, D) under `demonstration_0`,
+    `demonstration_1` and so on. Pickled objects are refused.
 
     Raises:
         FileNotFoundError: no such file.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import Obstacle
-from smp_planner.costs import CollisionCost
+from smp_planner.collision.costs import CollisionCost
 from smp_planner.library.chain import Arm, reachable_box, robot_workspace
 from smp_planner.library.cloud import LearnedCloud, PointCloud, learned_cloud
 from smp_planner.library.frame import Frame

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from smp_planner.costs import GoalCost
+from smp_planner.collision.costs import GoalCost
+from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.mover import ValueAndGradient
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.box_prior import SmoothBox
 from smp_planner.planners.tying import tie_to_goals
-from smp_planner.problem import GoalRegion
-from smp_planner.robot_model import RobotModel
+from smp_planner.planning.problem import GoalRegion
 
 __all__ = ["Place", "PlaceSite", "Site", "ToolSite"]
 

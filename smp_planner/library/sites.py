@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.site import Place, PlaceSite, Site, ToolSite
 from smp_planner.movement_primitives.box_prior import SmoothBox
-from smp_planner.problem import GoalRegion
-from smp_planner.robot_model import RobotModel
+from smp_planner.planning.problem import GoalRegion
 
 __all__ = ["Wanted", "sites_of"]
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.kinematics import SphereSet
+from smp_gym.robot.kinematics import SphereSet
+from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.settings import FitSettings
 from smp_planner.library.urdf import Robot
 from smp_planner.occupancy.archive import read_archive, write_archive
-from smp_planner.robot_model import RobotModel
 
 __all__ = ["read_primitive", "write_primitive"]
 

@@ -17,9 +17,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from smp_gym.kinematics import SphereSet
+from smp_gym.robot.kinematics import SphereSet
+from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.covering import cover_box, cover_cylinder, cover_mesh
-from smp_planner.robot_model import RobotModel
 
 __all__ = ["ENDLESS", "Robot"]
 

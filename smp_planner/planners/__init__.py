@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.scene import TASKS
 from smp_planner.planners.base import PlannerModel
 from smp_planner.planners.cpromp import CProMPPlanner
 from smp_planner.planners.promp import ProMPPlanner
 from smp_planner.planners.promp_diff import ProMPDiffPlanner
 from smp_planner.planners.prompt_o import ProMPTOPlanner
-from smp_planner.planners.rrt_connect import RRTConnectPlanner
+from smp_planner.planners.rrt_connect.planner import RRTConnectPlanner
 from smp_planner.planners.smp import SMPPlanner
 
 __all__ = ["PLANNERS", "PlannerModel", "make_planner"]

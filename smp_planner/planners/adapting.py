@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from smp_gym.kinematics import UnreachableError
+from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.adaptation import Adaptation
+from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planners.base import (
     SAMPLES,
     Particles,
@@ -22,8 +23,7 @@ from smp_planner.planners.base import (
     jaco_with,
 )
 from smp_planner.planners.likelihood import Likelihood, LikelihoodSettings
-from smp_planner.problem import Plan, Problem
-from smp_planner.robot_model import RobotModel
+from smp_planner.planning.problem import Plan, Problem
 
 __all__ = ["AdaptingPlanner", "AdaptingSettings"]
 

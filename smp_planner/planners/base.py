@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import UnreachableError
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot.kinematics import UnreachableError
+from smp_planner.collision.robot_model import RobotModel, jaco_model, jaco_of_spheres
+from smp_planner.collision.verification import Verification, check_collisions, verify
 from smp_planner.movement_primitives import (
     GaussianBasis,
     ProMP,
@@ -33,9 +35,7 @@ from smp_planner.planners.judging import (
     signatures,
 )
 from smp_planner.planners.tying import TiedPrimitive, tie_primitive
-from smp_planner.problem import Plan, Problem, ViaPoint
-from smp_planner.robot_model import RobotModel, jaco_model, jaco_of_spheres
-from smp_planner.verification import Verification, check_collisions, verify
+from smp_planner.planning.problem import Plan, Problem, ViaPoint
 
 __all__ = ["Particles", "PlannerModel", "PlannerSettings", "Stopwatch", "one_thread"]
 

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from smp_gym.scene import Obstacle
-from smp_planner.edge_check import EdgeChecker
-from smp_planner.modes import signatures_3d
-from smp_planner.problem import Problem, Stage
-from smp_planner.robot_model import RobotModel, jaco_of_spheres
-from smp_planner.verification import Verification
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.collision.robot_model import RobotModel, jaco_of_spheres
+from smp_planner.collision.verification import Verification
+from smp_planner.planning.modes import signatures_3d
+from smp_planner.planning.problem import Problem, Stage
 
 __all__ = [
     "REACHED",

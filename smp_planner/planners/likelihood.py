@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from smp_gym.scene import Obstacle
-from smp_planner.costs import (
+from smp_planner.collision.costs import (
     CarriedBoxCost,
     CollisionCost,
     Cost,
@@ -18,6 +18,7 @@ from smp_planner.costs import (
     SelfCollisionCost,
     VelocityLimitCost,
 )
+from smp_planner.collision.robot_model import RobotModel, jaco_of_spheres
 from smp_planner.occupancy.grid import DistanceGrid, bake
 from smp_planner.occupancy.neural import (
     INFLATION,
@@ -27,8 +28,7 @@ from smp_planner.occupancy.neural import (
 )
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
 from smp_planner.planners.base import PlannerSettings
-from smp_planner.problem import Problem, Stage
-from smp_planner.robot_model import RobotModel, jaco_of_spheres
+from smp_planner.planning.problem import Problem, Stage
 
 __all__ = ["Likelihood", "LikelihoodSettings"]
 

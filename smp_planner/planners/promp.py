@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from smp_planner.planners.base import PlannerModel, Stopwatch, jaco_with
-from smp_planner.problem import Plan, Problem
+from smp_planner.planning.problem import Plan, Problem
 
 __all__ = ["ProMPPlanner"]
 

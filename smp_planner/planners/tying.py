@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from smp_gym.kinematics import UnreachableError
+from smp_gym.robot.kinematics import UnreachableError
+from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
-from smp_planner.planners.postures import pose_chain
-from smp_planner.problem import GoalRegion, Problem, ViaPoint
-from smp_planner.robot_model import RobotModel
+from smp_planner.planners.rrt_connect.postures import pose_chain
+from smp_planner.planning.problem import GoalRegion, Problem, ViaPoint
 
 __all__ = ["TiedPrimitive", "tie_primitive", "tie_to_goals"]
 

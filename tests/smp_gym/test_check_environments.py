@@ -10,7 +10,7 @@ import pytest
 import typer
 
 import smp_gym
-from smp_gym import workcell
+from smp_gym.physics import workcell
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "check_environments.py"

@@ -11,12 +11,12 @@ import pytest
 import typer
 
 import smp_gym  # noqa: F401
-from smp_gym.demonstrations import FORMAT_VERSION, Demonstrations, resample
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, end_effector_pose
+from smp_gym.datasets.demonstrations import FORMAT_VERSION, Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD
-from smp_gym.playback import play
+from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, end_effector_pose
+from smp_gym.rollout import play
 from smp_gym.scene import BIN_INNER_HALF_WIDTH, Goal, ManipulatedObject, Scene
-from smp_gym.tasks.placement import HELD_OBJECT_POSE, NOMINAL_BIN, START_CONFIGURATION
+from smp_gym.tasks.placement.rules import HELD_OBJECT_POSE, NOMINAL_BIN, START_CONFIGURATION
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "record_demonstrations.py"
 

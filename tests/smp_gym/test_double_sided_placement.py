@@ -7,11 +7,11 @@ import pytest
 from test_env import rollout_digest
 from test_scene_sampling import Bullet
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import decode
-from smp_gym.playback import play
+from smp_gym.robot import kinematics
+from smp_gym.rollout import play
 from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.scene import (
     PAD_HALF_WIDTH,
@@ -22,7 +22,7 @@ from smp_gym.scene import (
     fixtures,
 )
 from smp_gym.tasks import Status
-from smp_gym.tasks.double_sided_placement import (
+from smp_gym.tasks.double_sided_placement.rules import (
     HELD_OBJECT_POSE,
     NOMINAL_PADS,
     PAD_LOWEST,

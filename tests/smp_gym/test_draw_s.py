@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, PEN_RADIUS, PEN_TIP
 from smp_gym.observation import MAX_EPISODE_STEPS, decode, encode_desired_goal
-from smp_gym.playback import play
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, PEN_RADIUS, PEN_TIP
+from smp_gym.rollout import play
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle
-from smp_gym.strokes import pen_path
 from smp_gym.tasks import make_task
-from smp_gym.tasks.draw_s import (
+from smp_gym.tasks.draw_s.rules import (
     CHECKPOINT_TOLERANCE,
     COVERED_DISTANCE,
     END_TOLERANCE,
@@ -26,6 +25,7 @@ from smp_gym.tasks.draw_s import (
     equal_arc,
     passed_in_order,
 )
+from smp_gym.tasks.draw_s.strokes import pen_path
 from smp_planner.experiments import lasa
 
 TASK = make_task("DrawS")

@@ -6,14 +6,14 @@ import pytest
 from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
-from smp_gym import kinematics
-from smp_gym.end_effector_control import ANGULAR_SPEED, LINEAR_SPEED, joint_action
+from smp_gym.control import ANGULAR_SPEED, LINEAR_SPEED, joint_action
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY
 from smp_gym.observation import CONTROL_PERIOD, CONTROLS, GRIPPER_RATE, decode
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS
-from smp_gym.tasks.placement import START_CONFIGURATION
+from smp_gym.tasks.placement.rules import START_CONFIGURATION
 
 START = np.array(START_CONFIGURATION)
 

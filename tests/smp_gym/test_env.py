@@ -12,9 +12,10 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 
 import smp_gym
-from smp_gym import kinematics
 from smp_gym.env import FAILURE_REWARD, SHAPING_DISCOUNT, ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, decode
+from smp_gym.physics.workcell import SUBSTEPS
+from smp_gym.robot import kinematics
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import (
     BIN_HEIGHT,
@@ -25,14 +26,13 @@ from smp_gym.scene import (
     Goal,
     Obstacle,
 )
-from smp_gym.tasks.placement import (
+from smp_gym.tasks.placement.rules import (
     HELD_OBJECT_POSE,
     NOMINAL_BIN,
     RELEASE_HEIGHT,
     RELEASE_TILT,
     START_CONFIGURATION,
 )
-from smp_gym.workcell import SUBSTEPS
 
 PLACEMENT = "smp_gym/Placement-v0"
 IDS = [entry.id for entry in smp_gym.ENVIRONMENTS]

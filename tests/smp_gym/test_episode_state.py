@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from smp_gym.env import ManipulationEnv
+from smp_gym.physics.workcell import Workcell
 from smp_gym.sampling import sample_scene
-from smp_gym.workcell import Workcell
 
 STEPS = 90
 RELEASE = 30

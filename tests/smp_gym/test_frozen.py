@@ -11,8 +11,8 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from smp_gym import frozen
-from smp_gym.frozen import (
+from smp_gym.datasets import frozen
+from smp_gym.datasets.frozen import (
     HALVES,
     FrozenEpisode,
     FrozenEpisodes,

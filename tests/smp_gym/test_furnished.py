@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.playback import play
+from smp_gym.robot import kinematics
+from smp_gym.rollout import play
 from smp_gym.sampling import (
     sample_furniture,
     sample_furniture_with_witness,

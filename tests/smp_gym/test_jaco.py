@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smp_gym import assets, kinematics
+from smp_gym import assets
 from smp_gym.env import ManipulationEnv
-from smp_gym.jaco import FINGER_CLOSED, Jaco
 from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE
+from smp_gym.physics.jaco import FINGER_CLOSED, Jaco
+from smp_gym.physics.workcell import SUBSTEPS
+from smp_gym.physics.world import BulletWorld
+from smp_gym.robot import kinematics
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TABLE
-from smp_gym.tasks.placement import GRASP_FINGER_ANGLES, START_CONFIGURATION
-from smp_gym.workcell import SUBSTEPS
-from smp_gym.world import BulletWorld
+from smp_gym.tasks.placement.rules import GRASP_FINGER_ANGLES, START_CONFIGURATION
 
 GREY = (0.5, 0.5, 0.5, 1.0)
 

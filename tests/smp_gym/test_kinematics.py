@@ -2,9 +2,9 @@ import numpy as np
 import pybullet
 import pytest
 
-from smp_gym import kinematics
 from smp_gym.assets import jaco_urdf
-from smp_gym.kinematics import (
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import (
     JOINT_LOWER,
     JOINT_UPPER,
     LINKS,

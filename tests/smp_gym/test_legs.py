@@ -5,15 +5,15 @@ import itertools
 import numpy as np
 import pytest
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
+from smp_gym.robot.inverse_kernels import reach_points, reach_pose
 from smp_gym.sampling import SPECIFICATIONS, sample_with_witness
 from smp_gym.sampling.choice import REPEATED, apart
-from smp_gym.sampling.inverse_kernels import reach_points, reach_pose
 from smp_gym.sampling.leg_obstacles import SPARE, LegCandidates, choose_on_legs
 from smp_gym.sampling.legs import Leg, Members
 from smp_gym.sampling.specification import DifficultySpecification
-from smp_gym.tasks.push_lift_box import START_CONFIGURATION, push_poses
+from smp_gym.tasks.push_lift_box.rules import START_CONFIGURATION, push_poses
 
 BLOCKED = ("easy", "medium", "hard")
 NEAR = np.array(START_CONFIGURATION)

@@ -7,9 +7,9 @@ import pybullet
 import pytest
 
 from smp_gym.env import ManipulationEnv
-from smp_gym.lines import Line, wire_box
+from smp_gym.physics.lines import Line, wire_box
+from smp_gym.physics.world import BulletWorld, Camera
 from smp_gym.scene import Obstacle
-from smp_gym.world import BulletWorld, Camera
 
 BLUE = (0.0, 0.0, 1.0)
 GREY = (0.5, 0.5, 0.5, 1.0)

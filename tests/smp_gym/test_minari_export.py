@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import typer
 
-from smp_gym import minari_export
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.minari_export import (
+from smp_gym.datasets import minari_export
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.datasets.minari_export import (
     dataset_path,
     default_dataset_id,
     export_demonstrations,

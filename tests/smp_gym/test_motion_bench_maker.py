@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401
-from smp_gym.motion_bench_maker import load_obstacles, load_scene
+from smp_gym.datasets.motion_bench_maker import load_obstacles, load_scene
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import MAX_OBSTACLES
 

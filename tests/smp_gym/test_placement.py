@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smp_gym import kinematics
+from smp_gym.robot import kinematics
 from smp_gym.scene import (
     BIN_HEIGHT,
     BIN_INNER_HALF_WIDTH,
@@ -13,7 +13,7 @@ from smp_gym.scene import (
     Scene,
 )
 from smp_gym.tasks import Status, make_task
-from smp_gym.tasks.placement import (
+from smp_gym.tasks.placement.rules import (
     BIN_LOWER,
     BIN_UPPER,
     HELD_OBJECT_POSE,

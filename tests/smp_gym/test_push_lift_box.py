@@ -5,14 +5,14 @@ import numpy as np
 import pybullet
 import pytest
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
 from smp_gym.observation import CONTROL_PERIOD, decode
-from smp_gym.playback import play
+from smp_gym.robot.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
+from smp_gym.rollout import play
 from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
-from smp_gym.tasks.push_lift_box import (
+from smp_gym.tasks.push_lift_box.rules import (
     BOX_BEARING,
     BOX_RADIUS,
     BOX_TURN,

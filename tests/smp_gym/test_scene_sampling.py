@@ -10,11 +10,11 @@ import pybullet
 import pytest
 
 import smp_gym  # noqa: F401
-from smp_gym import kinematics
 from smp_gym.assets import jaco_urdf
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import OBSTACLE_LAYOUT
-from smp_gym.playback import play
+from smp_gym.robot import kinematics
+from smp_gym.rollout import play
 from smp_gym.sampling import (
     SPECIFICATIONS,
     DifficultySpecification,
@@ -35,7 +35,7 @@ from smp_gym.scene import (
     Scene,
     fixtures,
 )
-from smp_gym.tasks.placement import (
+from smp_gym.tasks.placement.rules import (
     BIN_LOWER,
     BIN_UPPER,
     HELD_OBJECT_POSE,

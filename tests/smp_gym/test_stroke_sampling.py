@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smp_gym import kinematics
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.playback import play
+from smp_gym.robot import kinematics
+from smp_gym.rollout import play
 from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness, strokes
 from smp_gym.sampling.stroke_ways import SCALE, drawing_body, sample_stroke, tip_path
 from smp_gym.scene import DIFFICULTIES, STROKE_POINTS, Scene
-from smp_gym.strokes import follow, moved, pen_path
-from smp_gym.tasks.draw_s import covered
+from smp_gym.tasks.draw_s.rules import covered
+from smp_gym.tasks.draw_s.strokes import follow, moved, pen_path
 
 SEEDS = range(10)
 CROWDED = ("easy", "medium", "hard")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smp_gym import kinematics
 from smp_gym.env import ManipulationEnv
+from smp_gym.robot import kinematics
 from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
 from smp_gym.sampling.carrying import carry, release_configuration
 from smp_gym.sampling.placing import placement_task

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
+from smp_gym.physics.world import GRAVITY, PHYSICS_PERIOD, BulletWorld, Camera
 from smp_gym.scene import MAX_OBSTACLES, TABLE, Obstacle
-from smp_gym.world import GRAVITY, PHYSICS_PERIOD, BulletWorld, Camera
 
 GREY = (0.5, 0.5, 0.5, 1.0)
 RED = (1.0, 0.0, 0.0, 1.0)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import SphereSet, box_spheres, concatenate, finger_spheres
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot.kinematics import SphereSet, box_spheres, concatenate, finger_spheres
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, fixtures
-from smp_planner.edge_check import EdgeChecker
-from smp_planner.problem import GoalRegion, Problem
-from smp_planner.robot_model import RobotModel, jaco_model
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.collision.robot_model import RobotModel, jaco_model
+from smp_planner.planning.problem import GoalRegion, Problem
 
 
 @pytest.fixture(scope="session")

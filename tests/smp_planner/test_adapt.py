@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from smp_gym.scene import Obstacle
-from smp_planner.adapt import (
+from smp_planner.adaptation import GaussianVI, Stein
+from smp_planner.library.smp import (
     METHODS,
     SMP,
     AdaptSettings,
@@ -15,7 +16,6 @@ from smp_planner.adapt import (
     Rectangle,
     ViaPoint,
 )
-from smp_planner.adaptation import GaussianVI, Stein
 
 PHASE = np.linspace(0.0, 1.0, 60)
 OBSTACLES = [Circle((60.0, 60.0), 12.0), Rectangle((150.0, -60.0), (14.0, 9.0), 0.5)]

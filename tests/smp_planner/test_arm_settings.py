@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smp_planner.benchmark import arm_settings
-from smp_planner.benchmark.arm_settings import Cell, diversity, measure_cell
+from smp_planner.experiments import arm_settings
+from smp_planner.experiments.arm_settings import Cell, diversity, measure_cell
 from smp_planner.experiments.tables import summarise
 
 

@@ -8,10 +8,10 @@ import torch
 from smp_gym.observation import decode
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
+from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planners import make_planner
-from smp_planner.problem import Problem
-from smp_planner.reading import problem_from
-from smp_planner.robot_model import jaco_model
+from smp_planner.planning.problem import Problem
+from smp_planner.policy.observed_problem import problem_from
 
 BASELINES = ("cpromp", "prompt_o", "promp_diff")
 SHIFTING = BASELINES[1:]

@@ -18,7 +18,7 @@ from rich.console import Console
 from scipy import stats
 from typer.testing import CliRunner
 
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
@@ -342,7 +342,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path[:0] = {paths!r}
 from pathlib import Path
 
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 from smp_planner.benchmark import runner
 from test_benchmark import manifest, slow_play
 

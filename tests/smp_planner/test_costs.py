@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from smp_gym import kinematics
-from smp_gym.kinematics import SphereSet
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner import compiled, costs
+from smp_planner.collision import costs
+from smp_planner.collision import kernels as compiled
+from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
-from smp_planner.problem import GoalRegion
-from smp_planner.robot_model import jaco_model
+from smp_planner.planning.problem import GoalRegion
 
 OBSTACLES = (
     TABLE,

@@ -7,19 +7,23 @@ import numpy as np
 import pytest
 import torch
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import PEN_TIP, UnreachableError
 from smp_gym.observation import decode
+from smp_gym.robot.kinematics import PEN_TIP, UnreachableError
 from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import STROKE_POINTS, Obstacle
-from smp_gym.strokes import pen_path
+from smp_gym.tasks.draw_s.strokes import pen_path
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners import TASK_SETTINGS, make_planner
 from smp_planner.planners.base import jaco_with
-from smp_planner.policy import PlannerPolicy
-from smp_planner.problem import Plan, ViaPoint
-from smp_planner.reading import CHECKPOINT_TOLERANCE, checkpoint_phases, problem_from
+from smp_planner.planning.problem import Plan, ViaPoint
+from smp_planner.policy.observed_problem import (
+    CHECKPOINT_TOLERANCE,
+    checkpoint_phases,
+    problem_from,
+)
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 
 @pytest.fixture(scope="module")

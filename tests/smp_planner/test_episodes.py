@@ -13,13 +13,13 @@ import pytest
 from typer.testing import CliRunner
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.frozen import load_episodes
+from smp_gym.datasets.frozen import load_episodes
 from smp_gym.sampling import sample_scene
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, Rollout, environment_id, roll_out
 from smp_planner.benchmark.figures import object_paths
 from smp_planner.benchmark.store import read_results
-from smp_planner.policy import PlannerPolicy
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 TIMES = ("planning_time", "episode_time")
 

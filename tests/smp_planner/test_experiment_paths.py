@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smp_planner import metrics
-from smp_planner.adapt import Circle
+from smp_planner.benchmark import metrics
 from smp_planner.experiments.paths import (
     classes,
     clearances,
@@ -14,6 +13,7 @@ from smp_planner.experiments.paths import (
     total_variation,
 )
 from smp_planner.experiments.posterior import within_spread
+from smp_planner.library.smp import Circle
 
 FloatArray = NDArray[np.float64]
 CIRCLE = Circle((0.0, 0.0), 1.0)

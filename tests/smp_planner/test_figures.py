@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
 from smp_planner.benchmark.drawing import Camera, Painter, body_faces
 from smp_planner.benchmark.episodes import EpisodeRow, Rollout
 from smp_planner.benchmark.figures import FRAME_RATE, scene_figure, write_video
-from smp_planner.problem import Plan
+from smp_planner.planning.problem import Plan
 
 ALONG_X = Camera((0.0, 0.0, 0.0), azimuth=0.0, elevation=0.0, distance=2.0)
 TILTED = (0.1, 0.2, 0.3, np.sqrt(1 - 0.14))

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import JOINT_VELOCITY, arm_spheres, end_effector_pose
 from smp_gym.observation import CONTROL_PERIOD, decode
+from smp_gym.robot.kinematics import JOINT_VELOCITY, arm_spheres, end_effector_pose
 from smp_gym.scene import TABLE, Goal, Obstacle
-from smp_gym.tasks.push_lift_box import HAND_HEIGHT, OBJECT_BEHIND, PUSH_LENGTH
-from smp_planner.grasping import learn_grasping
+from smp_gym.tasks.push_lift_box.rules import HAND_HEIGHT, OBJECT_BEHIND, PUSH_LENGTH
 from smp_planner.planners import make_planner
-from smp_planner.policy import PlannerPolicy
-from smp_planner.problem import Stage, ViaPose
-from smp_planner.reading import problem_from
-from smp_planner.tracking import CLOSING_STEPS, GripperEvent, Track
+from smp_planner.planning.problem import Stage, ViaPose
+from smp_planner.policy.grasping import learn_grasping
+from smp_planner.policy.observed_problem import problem_from
+from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.policy.tracking import CLOSING_STEPS, GripperEvent, Track
 
 
 @pytest.fixture(scope="module")

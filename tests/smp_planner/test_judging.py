@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.kinematics import (
+from smp_gym.observation import decode
+from smp_gym.robot.kinematics import (
     arm_spheres,
     concatenate,
     end_effector_pose,
     finger_spheres,
     sphere_centers,
 )
-from smp_gym.observation import decode
 from smp_gym.scene import Obstacle
-from smp_planner.modes import group
+from smp_planner.collision.robot_model import jaco_model
+from smp_planner.collision.verification import TOLERANCE, Verification
 from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planners import make_planner
 from smp_planner.planners.judging import free_waypoints, goal_distances, rank, signatures
-from smp_planner.problem import GoalRegion, Plan, Problem
-from smp_planner.reading import problem_from
-from smp_planner.robot_model import jaco_model
-from smp_planner.verification import TOLERANCE, Verification
+from smp_planner.planning.modes import group
+from smp_planner.planning.problem import GoalRegion, Plan, Problem
+from smp_planner.policy.observed_problem import problem_from
 
 POSTURE = np.array([0.0, 3.6, 1.6, 1.5, 1.5, 1.0])
 FINGERS = finger_spheres((0.0, 0.0, 0.0, 0.0))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from smp_planner.adapt import SMP, Circle, ViaPoint
 from smp_planner.adaptation import GaussianVI, Stein
 from smp_planner.experiments import boxes, comparison, modulation, tuning
 from smp_planner.experiments.figures import draw_side_by_side
@@ -27,6 +26,7 @@ from smp_planner.experiments.lasa_scenes import (
 )
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Spread
+from smp_planner.library.smp import SMP, Circle, ViaPoint
 
 _SPEC = spec_from_file_location("script", Path(__file__).parents[2] / "scripts" / "lasa.py")
 assert _SPEC is not None

@@ -5,8 +5,8 @@ from itertools import pairwise, product
 import numpy as np
 
 from smp_gym.scene import Obstacle
-from smp_planner.edge_check import EdgeChecker
-from smp_planner.layered_search import way_through
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.planners.rrt_connect.layered_search import way_through
 
 BUDGET = {"iterations": 2000, "step": 0.5}
 

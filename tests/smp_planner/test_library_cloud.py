@@ -7,17 +7,17 @@ import torch
 from pybullet_utils.bullet_client import BulletClient
 
 from smp_gym.assets import jaco_urdf
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.scene import Obstacle
-from smp_planner.adapt import SMP, AdaptSettings, PointCloud, Robot
 from smp_planner.adaptation import Stein
+from smp_planner.collision.verification import TOLERANCE, check_collisions
 from smp_planner.library.cloud import learned_cloud
 from smp_planner.library.frame import Frame
 from smp_planner.library.point import path_clearance
 from smp_planner.library.scene import Scene
+from smp_planner.library.smp import SMP, AdaptSettings, PointCloud, Robot
 from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
-from smp_planner.verification import TOLERANCE, check_collisions
 
 PHASE = np.linspace(0.0, 1.0, 60)
 QUICK = AdaptSettings(map_points=6000, map_steps=400, retries=0)

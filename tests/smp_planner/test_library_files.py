@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from smp_gym.demonstrations import Demonstrations
-from smp_planner.adapt import SMP, Circle
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.adaptation import Stein
 from smp_planner.library.reading import demonstrations_of
+from smp_planner.library.smp import SMP, Circle
 
 PHASE = np.linspace(0.0, 1.0, 40)[:, None]
 PATHS = [np.hstack([PHASE, a * np.sin(np.pi * PHASE)]) for a in (0.8, 1.0, 1.1)]

@@ -8,17 +8,17 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from smp_gym import kinematics
 from smp_gym.assets import jaco_urdf
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner.adapt import SMP, AdaptSettings, Box, Circle, GoalRegion, Robot, ViaPoint
 from smp_planner.adaptation import Stein
-from smp_planner.costs import CollisionCost
+from smp_planner.collision.costs import CollisionCost
 from smp_planner.library.chain import Arm, robot_workspace
 from smp_planner.library.covering import cover_box, cover_cylinder, cover_mesh
 from smp_planner.library.maps import exact_grid
 from smp_planner.library.scene import Scene
+from smp_planner.library.smp import SMP, AdaptSettings, Box, Circle, GoalRegion, Robot, ViaPoint
 
 TIP = "j2s6s200_end_effector"
 AXES = [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0.6, 0, 0.8), (0, -1, 0), (1, 1, 1)]

@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import wasserstein_distance
 
-from smp_planner.metrics import (
+from smp_planner.benchmark.metrics import (
     COMPARED_SAMPLES,
     Metrics,
     SuccessRates,
@@ -21,7 +21,7 @@ from smp_planner.metrics import (
     success_rates,
     wasserstein,
 )
-from smp_planner.shortcutting import minimum_jerk
+from smp_planner.planners.rrt_connect.shortcutting import minimum_jerk
 
 BETWEEN_SETS = [mmd, wasserstein, frechet]
 

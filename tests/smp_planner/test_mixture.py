@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.movement_primitives import (
     GaussianBasis,
     ProMP,

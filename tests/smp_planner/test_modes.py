@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import entropy
 
-from smp_planner.modes import best_of_each, group, signatures_2d, signatures_3d
+from smp_planner.planning.modes import best_of_each, group, signatures_2d, signatures_3d
 
 PHASE = np.linspace(0.0, 1.0, 201)
 CENTERS = np.array([[0.25, 0.1], [0.5, -0.15], [0.7, 0.2], [0.5, 3.0]])

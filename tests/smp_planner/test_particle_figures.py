@@ -4,17 +4,17 @@ import gymnasium
 import imageio.v2 as imageio
 import numpy as np
 
-from smp_gym.kinematics import GRASP_CENTER, end_effector_pose
+from smp_gym.robot.kinematics import GRASP_CENTER, end_effector_pose
 from smp_gym.scene import PAD_DEPTH
-from smp_gym.tasks.double_sided_placement import NOMINAL_PADS, START_CONFIGURATION
-from smp_planner.benchmark.particle_figures import (
+from smp_gym.tasks.double_sided_placement.rules import NOMINAL_PADS, START_CONFIGURATION
+from smp_planner.experiments.particle_figures import (
     SHIFT,
     draw_before_and_after,
     modulated_scene,
     play_particle,
 )
-from smp_planner.benchmark.table_two.scenes import load_scenes
-from smp_planner.policy import PlannerPolicy
+from smp_planner.experiments.table_two.scenes import load_scenes
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 
 def _count(picture, color):

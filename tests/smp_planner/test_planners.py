@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from smp_gym.demonstrations import Demonstrations
-from smp_gym.kinematics import UnreachableError, box_spheres, concatenate, end_effector_pose
-from smp_gym.kinematics import finger_spheres as fingers
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot.kinematics import UnreachableError, box_spheres, concatenate, end_effector_pose
+from smp_gym.robot.kinematics import finger_spheres as fingers
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
+from smp_planner.collision.robot_model import jaco_model
 from smp_planner.inference import SETTINGS
 from smp_planner.planners import PLANNERS, make_planner
 from smp_planner.planners.likelihood import Likelihood, LikelihoodSettings
-from smp_planner.problem import GoalRegion, Planner, Problem
-from smp_planner.robot_model import jaco_model
+from smp_planner.planning.problem import GoalRegion, Planner, Problem
 
 HELD = np.eye(4)
 HELD[0, 3] = 0.022
@@ -76,7 +76,7 @@ def test_trajectories_begin_at_rest_in_the_present_configuration(plan, scene):
 
 def test_the_chosen_particle_reaches_the_goal_and_nothing_on_the_way(plan, scene):
     """Checked here by sampling the path finely, with nothing of the planner's own checker."""
-    from smp_gym.kinematics import arm_spheres, sphere_centers
+    from smp_gym.robot.kinematics import arm_spheres, sphere_centers
     from smp_planner.occupancy.analytic import signed_distance
 
     problem = problem_of(scene)

@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy.special import logsumexp
 
-from smp_planner.adapt import SMP
 from smp_planner.experiments import svgd_settings
 from smp_planner.experiments.comparison import common_ends
 from smp_planner.experiments.lasa_scenes import FIGURE_1, FIGURE_2B, learn, settings
@@ -15,6 +14,7 @@ from smp_planner.experiments.paths import classes
 from smp_planner.experiments.posterior import Reference, columns, exact_draws, posterior_row
 from smp_planner.experiments.tables import summarise
 from smp_planner.inference.smc import SMCSettings
+from smp_planner.library.smp import SMP
 
 COARSE = settings().model_copy(update={"samples": 50})
 FEW = SMCSettings(particles=600, moves=10, last_moves=10)

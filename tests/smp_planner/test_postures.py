@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from smp_gym.kinematics import JOINT_LOWER, JOINT_UPPER, UnreachableError, end_effector_pose
-from smp_planner.planners.postures import pose_chain, reaching
-from smp_planner.problem import ViaPose
+from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, UnreachableError, end_effector_pose
+from smp_planner.planners.rrt_connect.postures import pose_chain, reaching
+from smp_planner.planning.problem import ViaPose
 
 
 def test_configurations_reach_the_regions(placement, crowded, checker, postures, held, region):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from smp_gym import kinematics
-from smp_gym.kinematics import SphereSet
-from smp_planner import compiled
-from smp_planner.robot_model import RobotModel, jaco_model
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import SphereSet
+from smp_planner.collision import kernels as compiled
+from smp_planner.collision.robot_model import RobotModel, jaco_model
 
 
 def planar_arm(spheres=None, pairs=(), lengths=(0.5, 0.3)):

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smp_gym.demonstrations import Demonstrations
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
-from smp_gym.kinematics import UnreachableError, end_effector_pose
 from smp_gym.observation import decode
+from smp_gym.robot.kinematics import UnreachableError, end_effector_pose
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
-from smp_planner.edge_check import EdgeChecker
-from smp_planner.grasping import learn_grasping
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.collision.robot_model import jaco_model
+from smp_planner.collision.verification import check_collisions, verify
 from smp_planner.movement_primitives import GaussianBasis, phases
 from smp_planner.planners import make_planner
-from smp_planner.planners.rrt_connect import RRTConnectSettings
-from smp_planner.policy import PlannerPolicy
-from smp_planner.reading import checkpoint_phases, problem_from
-from smp_planner.robot_model import jaco_model
-from smp_planner.verification import check_collisions, verify
+from smp_planner.planners.rrt_connect.planner import RRTConnectSettings
+from smp_planner.policy.grasping import learn_grasping
+from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 
 def lid(scene):

@@ -7,9 +7,15 @@ import pytest
 from scipy.interpolate import BPoly
 
 from smp_gym.scene import Obstacle
-from smp_planner.edge_check import EdgeChecker
-from smp_planner.shortcutting import minimum_jerk, path_length, shortcut, smooth, stop_at_corners
-from smp_planner.verification import check_collisions
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.collision.verification import check_collisions
+from smp_planner.planners.rrt_connect.shortcutting import (
+    minimum_jerk,
+    path_length,
+    shortcut,
+    smooth,
+    stop_at_corners,
+)
 
 VELOCITY = np.array([1.0, 2.0])
 

@@ -10,10 +10,11 @@ from scipy import stats
 
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS
+from smp_planner.benchmark.metrics import Metrics
 from smp_planner.benchmark.row_file import ResultsError, RowFile
-from smp_planner.benchmark.table_two import repetitions, running
-from smp_planner.benchmark.table_two.figure import draw_table
-from smp_planner.benchmark.table_two.repetitions import (
+from smp_planner.experiments.table_two import repetitions, running
+from smp_planner.experiments.table_two.figure import draw_table
+from smp_planner.experiments.table_two.repetitions import (
     METHODS,
     RepetitionKey,
     RepetitionRow,
@@ -21,9 +22,8 @@ from smp_planner.benchmark.table_two.repetitions import (
     parse_row,
     play_repetition,
 )
-from smp_planner.benchmark.table_two.report import paper_rows, summarise, write_report
-from smp_planner.benchmark.table_two.scenes import load_scenes
-from smp_planner.metrics import Metrics
+from smp_planner.experiments.table_two.report import paper_rows, summarise, write_report
+from smp_planner.experiments.table_two.scenes import load_scenes
 
 
 def fake_repetition(key: RepetitionKey) -> RepetitionRow:

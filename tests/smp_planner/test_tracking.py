@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from smp_gym.kinematics import JOINT_VELOCITY
 from smp_gym.observation import CONTROL_PERIOD
-from smp_planner.costs import VELOCITY_FRACTION
-from smp_planner.tracking import SETTLING_STEPS, GripperEvent, Track, gripper_event
-from smp_planner.verification import minimum_duration
+from smp_gym.robot.kinematics import JOINT_VELOCITY
+from smp_planner.collision.costs import VELOCITY_FRACTION
+from smp_planner.collision.verification import minimum_duration
+from smp_planner.policy.tracking import SETTLING_STEPS, GripperEvent, Track, gripper_event
 
 
 def minimum_jerk(start, end, samples=200):

@@ -6,11 +6,11 @@ import pytest
 
 from smp_gym.observation import decode
 from smp_gym.scene import PAD_HALF_WIDTH, fixtures
-from smp_gym.tasks.double_sided_placement import SIDES
+from smp_gym.tasks.double_sided_placement.rules import SIDES
+from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planners import make_planner
-from smp_planner.policy import PlannerPolicy
-from smp_planner.reading import problem_from
-from smp_planner.robot_model import jaco_model
+from smp_planner.policy.observed_problem import problem_from
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 TASK = "DoubleSidedPlacement"
 

@@ -8,18 +8,18 @@ import pytest
 from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial.transform import Rotation
 
-from smp_gym import kinematics
-from smp_gym.kinematics import SphereSet
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner.occupancy.analytic import PackedObstacles, signed_distance
-from smp_planner.robot_model import jaco_model
-from smp_planner.verification import (
+from smp_planner.collision.robot_model import jaco_model
+from smp_planner.collision.verification import (
     TOLERANCE,
     check_collisions,
     minimum_duration,
     verify,
     within_joint_limits,
 )
+from smp_planner.occupancy.analytic import PackedObstacles, signed_distance
 
 TILTED = tuple(Rotation.from_euler("xyz", [0.4, 0.7, -0.3]).as_quat().tolist())
 OBSTACLES = (

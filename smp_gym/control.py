@@ -1,0 +1,79 @@
+"""From motions of the end effector to joint velocities: the control mode ``end_effector``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from smp_gym.observation import CONTROL_PERIOD
+from smp_gym.robot.kinematics import (
+    END_EFFECTOR,
+    JOINT_LOWER,
+    JOINT_UPPER,
+    JOINT_VELOCITY,
+    _errors,
+    _jacobians,
+    link_transforms,
+)
+
+__all__ = ["ANGULAR_SPEED", "LINEAR_SPEED", "joint_action"]
+
+LINEAR_SPEED = 0.15
+"""m/s of the end effector at a linear action of 1."""
+
+ANGULAR_SPEED = 0.5
+"""rad/s of the end effector at an angular action of 1."""
+
+FloatArray = NDArray[np.float64]
+
+_ITERATIONS = 3
+_DAMPING = 0.02
+"""Metres; a radian of rotation counts as 0.3. Directions in which a radian of the joints moves the
+hand by less than that are given up rather than followed by fast joints."""
+
+
+def joint_action(action: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return the joint velocity action that moves the end effector as wanted for one step.
+
+    Damped least squares (Wampler 1986) on the reference, not on the measured joint angles, so that
+    the arm does not sag step by step. Joints at a limit are left out of the solution. Where a joint
+    would have to be faster than it can, the whole motion is slowed down, its direction kept.
+
+    Args:
+        action: (7,) linear velocity as fractions of `LINEAR_SPEED`, angular velocity as fractions
+            of `ANGULAR_SPEED`, both along the axes of the base frame, and the gripper's rate.
+        reference: (6,) rad, the joint angles that the motors track.
+
+    Returns:
+        (7,) joint velocities as fractions of their limits, from -1 to 1, and the gripper's rate.
+    """
+    links = link_transforms(reference)
+    tool = links[-1] @ END_EFFECTOR
+    position = tool[:3, 3] + action[:3] * LINEAR_SPEED * CONTROL_PERIOD
+    turn = Rotation.from_rotvec(action[3:6] * ANGULAR_SPEED * CONTROL_PERIOD).as_matrix()
+    rotation = turn @ tool[:3, :3]
+    q = np.array(reference, np.float64)
+    # Zero is zero: rounding must not make the arm creep.
+    for _ in range(_ITERATIONS if action[:6].any() else 0):
+        error = _errors(tool, position, rotation)
+        change = _damped_step(_jacobians(links, tool, True), error, q)
+        q = np.clip(q + change, JOINT_LOWER, JOINT_UPPER)
+        links = link_transforms(q)
+        tool = links[-1] @ END_EFFECTOR
+    fractions = (q - reference) / (JOINT_VELOCITY * CONTROL_PERIOD)
+    fractions /= max(1.0, float(np.abs(fractions).max()))
+    return np.append(fractions, action[6])
+
+
+def _damped_step(jacobian: FloatArray, error: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the change (6,) of the joints that reduces an error (6,) without leaving limits."""
+    able = np.ones(6, np.bool_)
+    while True:
+        reduced = np.where(able, jacobian, 0.0)
+        square = reduced @ reduced.T + _DAMPING**2 * np.eye(6)
+        change = reduced.T @ np.linalg.solve(square, error)
+        stuck = ((q <= JOINT_LOWER) & (change < 0.0)) | ((q >= JOINT_UPPER) & (change > 0.0))
+        if not (stuck & able).any():
+            return np.asarray(change)
+        able &= ~stuck

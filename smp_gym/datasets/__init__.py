@@ -1,0 +1,1 @@
+"""Data sets: demonstrations, frozen episodes, and scenes and data sets of others."""

@@ -1,0 +1,244 @@
+"""Demonstrations: sets of recorded trajectories of one task, as frozen data in an ``.npz`` file.
+
+A demonstration is sampled at T equal steps of phase, from the start of the movement (phase 0) to
+the release or the final pose (phase 1), where the arm is at rest. Beside the arm's configuration it
+holds the *commanded* gripper reference (0 open, 1 closed): in tasks that release an object the
+command is 1 until the object is let go and 0 from then on, so that the phase of the release can be
+read from the data (`Demonstrations.release_phase`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.assets import asset_path
+from smp_gym.scene import TASKS, Scene
+from smp_gym.tasks.draw_s.strokes import pen_path
+
+__all__ = ["DEMONSTRATION_SAMPLES", "FORMAT_VERSION", "Demonstrations", "resample"]
+
+DEMONSTRATION_SAMPLES = 200
+"""Samples of phase of each demonstration that ships with the package."""
+
+FORMAT_VERSION = 1
+"""Version of the file format that `Demonstrations.save` writes."""
+
+_ARRAYS = ("configurations", "gripper", "durations")
+
+FloatArray = NDArray[np.float64]
+
+
+def _checked_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
+    """Return a read-only float64 copy of `value`; None in `shape` matches any length."""
+    try:
+        array = np.array(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"Demonstrations.{name} must be an array of numbers with equal dimensions in all "
+            f"demonstrations: {error}"
+        ) from error
+    expected = tuple("any" if n is None else n for n in shape)
+    if array.ndim != len(shape) or any(
+        n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
+    ):
+        raise ValueError(f"Demonstrations.{name} must have shape {expected}, got {array.shape}")
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"Demonstrations.{name} must be finite, got {array[index]} at {index}")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """N demonstrations of one task, each T samples of a D-joint arm at equal steps of phase.
+
+    Attributes:
+        task: name of the task, one of `smp_gym.scene.TASKS`.
+        configurations: (N, T, D) rad, measured joint angles; N >= 2, T >= 2.
+        gripper: (N, T) commanded gripper reference, 0 open to 1 closed.
+        durations: (N,) s, time from phase 0 to phase 1.
+        scenes: the scene of each demonstration, N of them.
+        metadata: anything else worth keeping, as JSON values.
+
+    Raises:
+        ValueError: arrays of unequal dimension, fewer than two demonstrations, values that are not
+            finite or out of range; the message names the attribute and the value.
+    """
+
+    task: str
+    configurations: FloatArray
+    gripper: FloatArray
+    durations: FloatArray
+    scenes: tuple[Scene, ...]
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.task not in TASKS:
+            raise ValueError(f"task must be one of {', '.join(TASKS)}; got {self.task!r}")
+        configurations = _checked_array("configurations", self.configurations, (None, None, None))
+        count, samples, _ = configurations.shape
+        if count < 2:
+            raise ValueError(f"Demonstrations needs at least two demonstrations, got {count}")
+        if samples < 2:
+            raise ValueError(f"a demonstration needs at least two samples, got {samples}")
+        gripper = _checked_array("gripper", self.gripper, (count, samples))
+        if gripper.min() < 0.0 or gripper.max() > 1.0:
+            raise ValueError(
+                "Demonstrations.gripper must lie in [0, 1], got values from "
+                f"{gripper.min()} to {gripper.max()}"
+            )
+        durations = _checked_array("durations", self.durations, (count,))
+        if durations.min() <= 0.0:
+            raise ValueError(f"Demonstrations.durations must be positive, got {durations.min()}")
+        scenes = tuple(self.scenes)
+        if len(scenes) != count:
+            raise ValueError(
+                f"Demonstrations.scenes must hold one scene for each of {count} demonstrations, "
+                f"got {len(scenes)}"
+            )
+        for scene in scenes:
+            if scene.task != self.task:
+                raise ValueError(
+                    f"Demonstrations.scenes must be of task {self.task!r}, got {scene.task!r}"
+                )
+        object.__setattr__(self, "configurations", configurations)
+        object.__setattr__(self, "gripper", gripper)
+        object.__setattr__(self, "durations", durations)
+        object.__setattr__(self, "scenes", scenes)
+        object.__setattr__(self, "metadata", dict(self.metadata))
+
+    def __len__(self) -> int:
+        return len(self.configurations)
+
+    @property
+    def mean(self) -> FloatArray:
+        """(T, D) rad, mean over the demonstrations at each phase."""
+        return self.configurations.mean(axis=0)
+
+    @property
+    def pen_paths(self) -> FloatArray:
+        """(N, T, 3) m, where the pen's tip is: the demonstrations of DrawS in Cartesian space.
+
+        By forward kinematics from the configurations, in the base frame.
+
+        Raises:
+            ValueError: demonstrations of another task, in which the hand holds no pen.
+        """
+        if self.task != "DrawS":
+            raise ValueError(f"only demonstrations of DrawS have pen_paths; these are {self.task}")
+        return pen_path(self.configurations)
+
+    @property
+    def release_phase(self) -> float:
+        """Mean phase at which the gripper is first commanded open after having been closed.
+
+        1.0 where the gripper never opens: then there is nothing to release.
+        """
+        samples = self.gripper.shape[1]
+        closed = np.maximum.accumulate(self.gripper >= 0.5, axis=1)
+        opened = closed & (self.gripper < 0.5)
+        first = np.where(opened.any(axis=1), opened.argmax(axis=1), samples - 1)
+        return float(first.mean() / (samples - 1))
+
+    def save(self, path: str | Path) -> None:
+        """Write the demonstrations to `path` (compressed ``.npz``, no pickle).
+
+        Task, scenes and metadata are one JSON string inside. The same demonstrations give the same
+        bytes.
+
+        Raises:
+            ValueError: `path` does not end in ``.npz``, or the metadata is not JSON.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise ValueError(f"path must end in .npz, got {str(path)!r}")
+        header = {
+            "version": FORMAT_VERSION,
+            "task": self.task,
+            "scenes": [scene.model_dump(mode="json") for scene in self.scenes],
+            "metadata": self.metadata,
+        }
+        try:
+            text = json.dumps(header, sort_keys=True, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"metadata must be JSON values, got {self.metadata!r}") from error
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        np.savez_compressed(path, header=np.array(text), **arrays)
+
+    @classmethod
+    def load(cls, task_or_path: str | Path) -> Demonstrations:
+        """Return the demonstrations that ship for a task, or those of a file.
+
+        Args:
+            task_or_path: name of a task, or path of a file that `save` wrote.
+
+        Raises:
+            FileNotFoundError: neither a task with demonstrations nor an existing file.
+            ValueError: the file is corrupt, of another version, or holds what `Demonstrations`
+                does not allow; the message names the file.
+        """
+        path = _locate(task_or_path)
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                missing = {"header", *_ARRAYS} - set(file.files)
+                if missing:
+                    raise ValueError(f"no entry {', '.join(sorted(missing))}")
+                header = json.loads(str(file["header"]))
+                arrays = {name: file[name] for name in _ARRAYS}
+            if not isinstance(header, dict) or header.get("version") != FORMAT_VERSION:
+                version = header.get("version") if isinstance(header, dict) else header
+                raise ValueError(f"format version must be {FORMAT_VERSION}, got {version!r}")
+            return cls(
+                task=header["task"],
+                scenes=tuple(Scene.model_validate(s) for s in header["scenes"]),
+                metadata=header["metadata"],
+                **arrays,
+            )
+        except Exception as error:
+            # Damaged bytes make zipfile, zlib, numpy and json raise almost anything.
+            raise ValueError(f"{path} is not a file of demonstrations: {error}") from error
+
+
+def _locate(task_or_path: str | Path) -> Path:
+    folder = asset_path("demonstrations")
+    shipped = sorted(path.stem for path in folder.glob("*.npz"))
+    if str(task_or_path) in shipped:
+        return folder / f"{task_or_path}.npz"
+    path = Path(task_or_path)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no demonstrations at {str(path)!r}: give a file, or a task, one of "
+            f"{', '.join(shipped)}"
+        )
+    return path
+
+
+def resample(values: FloatArray, samples: int = DEMONSTRATION_SAMPLES) -> FloatArray:
+    """Return a trajectory recorded at equal time steps, at `samples` equal steps of phase.
+
+    Args:
+        values: (M, D) samples at equal steps, M >= 4; any unit.
+        samples: how many to return, at least 2.
+
+    Returns:
+        (samples, D), a cubic spline through the given samples; the first and last are kept exactly.
+    """
+    from scipy.interpolate import CubicSpline
+
+    values = np.asarray(values, np.float64)
+    if values.ndim != 2 or len(values) < 4:
+        raise ValueError(f"values must have shape (M >= 4, D), got {values.shape}")
+    if samples < 2:
+        raise ValueError(f"samples must be at least 2, got {samples}")
+    spline = CubicSpline(np.linspace(0.0, 1.0, len(values)), values)
+    result: FloatArray = spline(np.linspace(0.0, 1.0, samples))
+    result[0], result[-1] = values[0], values[-1]
+    return result

@@ -1,0 +1,1 @@
+"""The arm as numbers: chain, limits, spheres, forward and inverse kinematics."""

@@ -1,0 +1,1 @@
+"""DoubleSidedPlacement: set the object down on either of two pads."""

@@ -1,0 +1,150 @@
+"""DoubleSidedPlacement: carry the object in the hand to either of two pads and set it down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.robot.kinematics import GRASP_CENTER
+from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, goal_columns
+from smp_gym.tasks.placing import PlacingTask
+from smp_gym.tasks.status import Status
+
+__all__ = [
+    "HELD_OBJECT_POSE",
+    "NOMINAL_PADS",
+    "PAD_LOWEST",
+    "PAD_SHIFT",
+    "PAD_TOP",
+    "RELEASE_GAP",
+    "SIDES",
+    "START_CONFIGURATION",
+    "TILT",
+    "DoubleSidedPlacement",
+]
+
+FloatArray = NDArray[np.floating[Any]]
+BoolArray = NDArray[np.bool_]
+
+SIDES = ("left", "right")
+"""Left is where y is positive; goals stand in this order."""
+
+START_CONFIGURATION = (-1.5293, 3.192, 0.8179, 0.0969, 2.7375, -0.0728)
+"""Joint angles at the start, rad: the object at (0.50, 0, 0.35) m, upright, midway between the
+sides."""
+
+NOMINAL_PADS = ((0.42, 0.44, 0.085), (0.42, -0.44, 0.085))
+"""Where the demonstrations find the pads: centre of their surfaces, m (`Goal.position`)."""
+
+PAD_SHIFT = 0.15
+"""Radius of the discs around `NOMINAL_PADS` in which an episode's pads stand, m."""
+
+PAD_LOWEST = 0.02
+PAD_TOP = 0.15
+"""Range of the pads' heights, m."""
+
+TILT = 0.4
+"""Angle of the approach direction below the horizontal at start and release, rad. The object is
+held so that it stands upright then: it is let go just above the pad and must not tip over."""
+
+RELEASE_GAP = 0.022
+"""Gap between object and pad when it is let go, m; the spheres that cover it then clear the pad by
+a centimetre."""
+
+HELD_OBJECT_POSE = np.eye(4)
+"""(4, 4) nominal pose of the held object in the end-effector frame."""
+HELD_OBJECT_POSE[:3, :3] = [
+    [np.cos(TILT), 0.0, -np.sin(TILT)],
+    [0.0, 1.0, 0.0],
+    [np.sin(TILT), 0.0, np.cos(TILT)],
+]
+HELD_OBJECT_POSE[:3, 3] = GRASP_CENTER
+HELD_OBJECT_POSE.setflags(write=False)
+
+_HEIGHT_TOLERANCE = 0.015
+_TOLERANCE = np.array([PAD_HALF_WIDTH, PAD_HALF_WIDTH, _HEIGHT_TOLERANCE])
+_POSITIONS = tuple(goal_columns("DoubleSidedPlacement", f"object_position_{s}") for s in SIDES)
+assert _HEIGHT_TOLERANCE < PAD_LOWEST
+
+
+@dataclass(frozen=True)
+class DoubleSidedPlacement(PlacingTask):
+    """The task of `smp_gym/DoubleSidedPlacement-v0`.
+
+    Success: the object's centre is over one of the pads, as high as if it lay there, the hand is
+    off it, it has come to rest, and nothing collided on the way.
+    """
+
+    name: str = "DoubleSidedPlacement"
+
+    support: ClassVar[str] = "pad"
+    goals: ClassVar[int] = 2
+
+    @property
+    def object_in_hand(self) -> FloatArray:
+        """(4, 4) pose of the object in the end-effector frame at the start."""
+        return HELD_OBJECT_POSE
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ValueError if an episode of this task cannot be played in the scene."""
+        super().check_scene(scene)
+        for side, goal in zip(SIDES, scene.goals, strict=True):
+            height = goal.position[2]
+            if not 0.0 < height <= PAD_DEPTH:
+                raise ValueError(
+                    f"the surface of a pad must be higher than 0 and at most {PAD_DEPTH} m, got "
+                    f"{height} on the {side}"
+                )
+        left, right = (np.array(goal.position) for goal in scene.goals)
+        if np.abs(left - right)[:2].max() <= 2.0 * PAD_HALF_WIDTH or left[1] < right[1]:
+            raise ValueError(
+                "scene.goals must be the left pad (greater y) and the right one, apart from each "
+                f"other, got {left.tolist()} and {right.tolist()}"
+            )
+
+    def achieved_goal(self, status: Status) -> dict[str, Any]:
+        """Return the values of the achieved goal by field name: the object is where it is, twice.
+
+        The desired goal has its place on the left and on the right pad in these two fields.
+        """
+        places = {f"object_position_{side}": status.object_position for side in SIDES}
+        return {**places, **self._flags(status)}
+
+    def reached(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return on which of the `SIDES` goals are reached.
+
+        Args:
+            achieved: (..., 9) achieved goals.
+            desired: (..., 9) desired goals; flags of 1 are demanded.
+
+        Returns:
+            (..., 2) whether the position is right (within the pad's square in x and y, to 1.5 cm in
+            height), the demanded flags are up and nothing collided.
+        """
+        near = [
+            (np.abs(achieved[..., at] - desired[..., at]) <= _TOLERANCE).all(axis=-1)
+            for at in _POSITIONS
+        ]
+        there = np.stack(near, axis=-1)
+        # Most of an episode is far from its goals.
+        return there & self._let_go(achieved, desired)[..., None] if there.any() else there
+
+    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals (..., 9) are reached on either side, (...)."""
+        return np.asarray(self.reached(achieved, desired).any(axis=-1))
+
+    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return minus the object's distance from the nearer of its places, 20 per metre."""
+        distances = [
+            np.linalg.norm(achieved[..., at] - desired[..., at], axis=-1) for at in _POSITIONS
+        ]
+        return -POTENTIAL_PER_METRE * np.minimum(*distances)
+
+    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+        """Return ``side``: where the object was placed, "left" or "right", or "" if it was not."""
+        reached = self.reached(achieved, desired)
+        return {"side": SIDES[int(reached.argmax())] if reached.any() else ""}

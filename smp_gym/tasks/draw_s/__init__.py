@@ -1,0 +1,1 @@
+"""DrawS: draw an S in the air with a pen."""

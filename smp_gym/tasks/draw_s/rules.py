@@ -1,0 +1,229 @@
+"""DrawS: draw an S in the air with a pen, past obstacles on the stroke."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from smp_gym.robot.kinematics import PEN_TIP
+from smp_gym.scene import STROKE_POINTS, Obstacle, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
+from smp_gym.tasks.draw_s import stroke_kernels
+from smp_gym.tasks.status import Status
+
+__all__ = [
+    "CHECKPOINT_TOLERANCE",
+    "COVERED_DISTANCE",
+    "END_TOLERANCE",
+    "PEN_CONFIGURATION",
+    "DrawS",
+    "covered",
+    "equal_arc",
+    "passed_in_order",
+]
+
+FloatArray = NDArray[np.floating[Any]]
+BoolArray = NDArray[np.bool_]
+
+CHECKPOINT_TOLERANCE = 0.04
+"""Metres: how near to a checkpoint the pen must come to have passed it."""
+
+END_TOLERANCE = 0.025
+"""Metres: how near to the end of the stroke the pen must be when the S is done."""
+
+COVERED_DISTANCE = 0.06
+"""Metres: a checkpoint nearer than this to an obstacle's surface, or inside it, is covered: the pen
+has to go round there, and the checkpoint is not demanded."""
+
+PEN_CONFIGURATION = (-1.52, 2.96, 0.83, 0.63, 3.07, -0.61)
+"""Joint angles in which the hand closes on the pen before it is put at an episode's start, rad."""
+
+_SUBDIVISION = 3
+"""Points into which the line between two neighbouring points of the trace is cut."""
+
+_STROKE = slice(0, 3 * STROKE_POINTS)
+_END = slice(3 * STROKE_POINTS - 3, 3 * STROKE_POINTS)
+_DEMANDED = slice(3 * STROKE_POINTS, 4 * STROKE_POINTS)
+_COLLIDED = 4 * STROKE_POINTS
+
+
+def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
+    """Return `count` points at equal steps of the arc of a line.
+
+    Args:
+        line: (M, 3) m, at least one point; where it has no length, its last point is repeated.
+        count: at least 2.
+
+    Returns:
+        (count, 3), the first and last being those of the line.
+    """
+    return stroke_kernels.equal_arc(np.ascontiguousarray(line, np.float64), count)
+
+
+def covered(points: FloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
+    """Return which points (N, 3) lie nearer than `COVERED_DISTANCE` to one of the obstacles."""
+    found = np.zeros(len(points), np.bool_)
+    for obstacle in obstacles:
+        found |= _distance(np.asarray(points), obstacle) < COVERED_DISTANCE
+    return found
+
+
+def _distance(points: FloatArray, obstacle: Obstacle) -> FloatArray:
+    """Return the distance (N,) of points (N, 3) to an obstacle's surface, 0 inside."""
+    turn = Rotation.from_quat(obstacle.quaternion).inv()
+    local = turn.apply(points - obstacle.position)
+    size = np.asarray(obstacle.size)
+    if obstacle.shape == "sphere":
+        return np.maximum(np.linalg.norm(local, axis=-1) - size[0], 0.0)
+    excess = np.maximum(np.abs(local) - size, 0.0)
+    if obstacle.shape == "cylinder":
+        aside = np.maximum(np.linalg.norm(local[:, :2], axis=-1) - size[0], 0.0)
+        return np.hypot(aside, excess[:, 2])
+    return np.asarray(np.linalg.norm(excess, axis=-1))
+
+
+def passed_in_order(
+    trace: FloatArray, checkpoints: FloatArray, demanded: FloatArray
+) -> NDArray[np.int64]:
+    """Return how far along a stroke a trace has come.
+
+    The trace is taken as the line through its points. A checkpoint counts as passed where the line
+    comes within `CHECKPOINT_TOLERANCE` of it, not before the place where the previous demanded one
+    was passed. A detour round an obstacle, which lengthens the arc and moves all later points of
+    the trace, therefore costs nothing.
+
+    Args:
+        trace: (..., N, 3) m.
+        checkpoints: (..., N, 3) m.
+        demanded: (..., N), above 0.5 where a checkpoint counts.
+
+    Returns:
+        (...) index of the first demanded checkpoint that was not passed, N if all were.
+    """
+    shape = np.broadcast_shapes(trace.shape[:-2], checkpoints.shape[:-2], demanded.shape[:-1])
+    reached = stroke_kernels.passed_in_order(
+        _batch(trace, shape, 2),
+        _batch(checkpoints, shape, 2),
+        _batch(demanded, shape, 1),
+        CHECKPOINT_TOLERANCE,
+        _SUBDIVISION,
+    )
+    return np.asarray(reached.reshape(shape))
+
+
+def _batch(values: FloatArray, shape: tuple[int, ...], axes: int) -> NDArray[np.float64]:
+    """Return (..., A...) values, broadcast to a shape, as contiguous (B, A...)."""
+    own = values.shape[values.ndim - axes :]
+    return np.ascontiguousarray(np.broadcast_to(values, shape + own).reshape(-1, *own), np.float64)
+
+
+@dataclass(frozen=True)
+class DrawS:
+    """The task of `smp_gym/DrawS-v0`.
+
+    The pen is part of the hand and draws all the time. Success: it is at the end of the stroke,
+    has passed the demanded checkpoints in their order (`passed_in_order`), and nothing collided.
+    The gripper moves the fingers but not the pen.
+    """
+
+    name: str = "DrawS"
+    version: int = 0
+
+    @property
+    def object_in_hand(self) -> FloatArray:
+        """(4, 4) pose of the pen's tip in the end-effector frame."""
+        pose = np.eye(4)
+        pose[:3, 3] = PEN_TIP
+        return pose
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ValueError if an episode of this task cannot be played in the scene."""
+        if scene.task != self.name:
+            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        if scene.manipulated is not None:
+            raise ValueError(f"scene.manipulated must be None, got {scene.manipulated!r}")
+        if [goal.kind for goal in scene.goals] != ["stroke"]:
+            kinds = ", ".join(goal.kind for goal in scene.goals)
+            raise ValueError(f"scene.goals must hold one stroke, got {kinds}")
+        check_playable(scene)
+
+    def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
+        """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
+        return frozenset({("hand", "hand")})
+
+    def achieved_goal(self, status: Status) -> dict[str, Any]:
+        """Return the values of the achieved goal by field name."""
+        return {
+            "stroke": equal_arc(status.trace).ravel(),
+            "demanded": np.ones(STROKE_POINTS),
+            "collided": float(status.collided),
+        }
+
+    def failure(self, status: Status) -> str:
+        """Return an empty string: as long as time is left, the S can be drawn anew."""
+        return ""
+
+    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return whether goals are reached.
+
+        Args:
+            achieved: (..., 129) achieved goals.
+            desired: (..., 129) desired goals.
+
+        Returns:
+            (...) whether the trace ends within `END_TOLERANCE` of the stroke's end, has passed the
+            demanded checkpoints in order, and nothing collided.
+        """
+        offset = achieved[..., _END] - desired[..., _END]
+        ended = np.sqrt((offset * offset).sum(axis=-1)) <= END_TOLERANCE
+        ended = np.asarray(ended & ~self.collided(achieved))
+        # Few traces end where they should; only they are worth a closer look.
+        if not ended.any():
+            return ended
+        achieved, desired = np.broadcast_arrays(achieved, desired)
+        reached = _reached(achieved[ended], desired[ended])
+        ended[ended] = reached == STROKE_POINTS
+        return ended
+
+    def collided(self, achieved: FloatArray) -> BoolArray:
+        """Return whether goals (..., 129) tell of a collision, (...)."""
+        return achieved[..., _COLLIDED] > 0.5
+
+    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return False for all goals (..., 129): what was drawn amiss can be drawn anew."""
+        return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
+
+    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return minus the way that is left along the stroke, (...), 20 per metre.
+
+        It is the distance of the pen to the next demanded checkpoint, and from there the length of
+        the stroke.
+        """
+        achieved, desired = np.broadcast_arrays(achieved, desired)
+        stroke = _points(desired)
+        upcoming = np.minimum(_reached(achieved, desired), STROKE_POINTS - 1)[..., None]
+        point = np.take_along_axis(stroke, upcoming[..., None], axis=-2)[..., 0, :]
+        steps = np.linalg.norm(np.diff(stroke, axis=-2), axis=-1)
+        left = np.zeros(stroke.shape[:-1])
+        left[..., :-1] = np.cumsum(steps[..., ::-1], axis=-1)[..., ::-1]
+        distance = np.linalg.norm(_points(achieved)[..., -1, :] - point, axis=-1)
+        remaining = np.take_along_axis(left, upcoming, axis=-1)[..., 0]
+        return np.asarray(-POTENTIAL_PER_METRE * (distance + remaining))
+
+    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+        """Return nothing: goals tell no more than success."""
+        return {}
+
+
+def _points(goals: FloatArray) -> FloatArray:
+    """Return the points (..., N, 3) of goals (..., 129)."""
+    return goals[..., _STROKE].reshape(*goals.shape[:-1], STROKE_POINTS, 3)
+
+
+def _reached(achieved: FloatArray, desired: FloatArray) -> NDArray[np.int64]:
+    return passed_in_order(_points(achieved), _points(desired), desired[..., _DEMANDED])

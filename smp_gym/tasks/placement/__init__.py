@@ -1,0 +1,1 @@
+"""Placement: carry an object into a bin."""

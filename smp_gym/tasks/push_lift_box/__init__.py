@@ -1,0 +1,1 @@
+"""PushLiftBox: push a box, grasp it on the way and lift it."""

@@ -1,0 +1,1 @@
+"""Collisions: the robot model, compiled kernels, costs, and exact checks."""

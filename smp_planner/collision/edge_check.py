@@ -1,0 +1,295 @@
+"""Whether configurations and straight edges between them are free, at the speed of a tree search.
+
+The same geometry and the same bound as `smp_planner.collision.verification`, for the question that
+a search asks ten thousand times: not how near a path comes, but whether it keeps a given distance.
+The first configuration that does not keep it ends the answer, and what is far from everything is
+not measured again.
+"""
+
+# Compiled functions carry no annotations: numba infers the types, the docstrings say them.
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from smp_gym.robot.kinematics import concatenate
+from smp_gym.scene import Obstacle
+from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
+from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
+from smp_planner.collision.verification import TOLERANCE, self_gap_of
+from smp_planner.occupancy.analytic import PackedObstacles, point_distance
+from smp_planner.planning.problem import Stage
+
+__all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Halvings of one edge: enough for ways of a kilometre.
+_DEPTH = 22
+
+
+class World(NamedTuple):
+    """Robot, obstacles and the distance to keep, as arrays for compiled loops.
+
+    Attributes:
+        robot: see `RobotArrays`.
+        parts: (K,4), each the first sphere, the one after the last, and likewise for the obstacles
+            that these spheres must stay clear of.
+        shape: (N,), as in `PackedObstacles`, like the next four.
+        rotation: (N,3,3).
+        position: (N,3) m.
+        size: (N,3) m.
+        bound: (N,) m.
+        margin: m, least distance to obstacles.
+    """
+
+    robot: RobotArrays
+    parts: IntArray
+    shape: IntArray
+    rotation: FloatArray
+    position: FloatArray
+    size: FloatArray
+    bound: FloatArray
+    margin: float
+
+
+class Scratch(NamedTuple):
+    """Memory of `edge_is_free`, reused from edge to edge; each thread needs its own."""
+
+    angles: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+    rotation: FloatArray
+    position: FloatArray
+    placed: FloatArray
+    balls: FloatArray
+    links: IntArray
+    way: FloatArray
+    measured: FloatArray
+    at: FloatArray
+    gap: FloatArray
+    self_gap: FloatArray
+
+
+@njit(cache=True, nogil=True)
+def new_scratch(world):
+    """Return the `Scratch` for a `World`."""
+    joints, spheres = world.robot.origins.shape[0], world.robot.link.shape[0]
+    return Scratch(
+        np.empty((joints, 1)),
+        np.empty((joints, 1)),
+        np.empty((joints, 1)),
+        np.empty((joints + 1, 3, 3, 1)),
+        np.empty((joints + 1, 3, 1)),
+        np.empty((spheres, 3, 1)),
+        np.empty((joints + 1, 3, 1)),
+        np.arange(joints + 1),
+        np.empty(spheres),
+        np.empty(spheres),
+        np.empty(_DEPTH + 2),
+        np.empty((_DEPTH + 2, spheres)),
+        np.empty(_DEPTH + 2),
+    )
+
+
+@njit(cache=True, fastmath=FAST, nogil=True)
+def _measure(world, scratch, row):
+    """Write the gaps at `scratch.angles` to a row; return whether all are wide enough.
+
+    A gap wider than the sphere's way along the whole edge settles the edge for that sphere: it is
+    kept and not measured again.
+    """
+    robot = world.robot
+    sine_cosine(scratch.angles.ravel(), scratch.sine.ravel(), scratch.cosine.ravel())
+    chain(
+        scratch.sine,
+        scratch.cosine,
+        robot.base,
+        robot.origins,
+        scratch.rotation,
+        scratch.position,
+    )
+    placed = scratch.placed
+    place(scratch.rotation, scratch.position, robot.link, robot.center, placed)
+    least_allowed = world.margin + TOLERANCE
+    for part in range(world.parts.shape[0] - 1, -1, -1):
+        first, last = world.parts[part, 2], world.parts[part, 3]
+        shape, rotation = world.shape[first:last], world.rotation[first:last]
+        position, size = world.position[first:last], world.size[first:last]
+        bound = world.bound[first:last]
+        # The hand leads: what it carries collides first.
+        for s in range(world.parts[part, 1] - 1, world.parts[part, 0] - 1, -1):
+            if robot.link[s] == 0:
+                scratch.gap[row, s] = np.inf
+                continue
+            gap = scratch.measured[s]
+            if gap < least_allowed + scratch.way[s]:
+                x, y, z = placed[s, 0, 0], placed[s, 1, 0], placed[s, 2, 0]
+                gap = (
+                    point_distance(x, y, z, shape, rotation, position, size, bound)
+                    - robot.radius[s]
+                )
+                if gap < least_allowed:
+                    return False
+                scratch.measured[s] = gap
+            scratch.gap[row, s] = gap
+    place(scratch.rotation, scratch.position, scratch.links, robot.ball_center, scratch.balls)
+    scratch.self_gap[row] = self_gap_of(placed, scratch.balls, 0, robot)
+    return scratch.self_gap[row] >= 2.0 * TOLERANCE
+
+
+@njit(cache=True, fastmath=FAST, nogil=True)
+def edge_is_free(world, scratch, start, end):
+    """Return whether the straight edge between configurations (n,) rad is certainly free.
+
+    Free is what keeps `world.margin` to all obstacles and `TOLERANCE` to itself all along. An edge
+    that keeps less than `TOLERANCE` more than that may be refused.
+    """
+    joints, spheres = start.shape[0], world.robot.link.shape[0]
+    way, at, gap, self_gap = scratch.way, scratch.at, scratch.gap, scratch.self_gap
+    longest = 0.0
+    for s in range(spheres):
+        way[s] = 0.0
+        for j in range(joints):
+            way[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
+        longest = max(longest, way[s])
+        scratch.measured[s] = -np.inf
+    # Row 0 is the configuration up to which the edge is settled; above it those still ahead.
+    at[0], at[1] = 0.0, 1.0
+    for row in range(1, -1, -1):
+        for j in range(joints):
+            scratch.angles[j, 0] = end[j] if row == 1 else start[j]
+        if not _measure(world, scratch, row):
+            return False
+    top = 1
+    while top > 0:
+        share = at[top] - at[0]
+        settled = True
+        if share * longest > 2.0 * TOLERANCE and top < _DEPTH + 1:
+            settled = self_gap[0] + self_gap[top] - share * longest >= 2.0 * TOLERANCE
+            if settled:
+                for s in range(spheres):
+                    if gap[0, s] + gap[top, s] - share * way[s] < 2.0 * world.margin:
+                        settled = False
+                        break
+        if settled:
+            at[0] = at[top]
+            self_gap[0] = self_gap[top]
+            for s in range(spheres):
+                gap[0, s] = gap[top, s]
+            top -= 1
+            continue
+        middle = 0.5 * (at[0] + at[top])
+        for j in range(joints):
+            scratch.angles[j, 0] = start[j] + middle * (end[j] - start[j])
+        # The stack holds what is ahead from far to near, so the new one goes on top.
+        top += 1
+        at[top] = middle
+        if not _measure(world, scratch, top):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _edges(world, starts, ends, free):
+    scratch = new_scratch(world)
+    for i in range(starts.shape[0]):
+        free[i] = edge_is_free(world, scratch, starts[i], ends[i])
+
+
+class EdgeChecker:
+    """The free space of a robot among obstacles.
+
+    Args:
+        robot: the arm and what it carries.
+        obstacles: bodies at rest.
+        margin: m, distance to keep to obstacles; at least `TOLERANCE`, so that what is free here is
+            free for `smp_planner.collision.verification` too.
+        parts: (K,4), which spheres must stay clear of which obstacles, as in `World`; by default
+            all of all.
+
+    Raises:
+        ValueError: `margin` is less than `TOLERANCE` or not finite.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        obstacles: Sequence[Obstacle] | PackedObstacles,
+        margin: float = TOLERANCE,
+        parts: ArrayLike | None = None,
+    ) -> None:
+        if not (math.isfinite(margin) and margin >= TOLERANCE):
+            raise ValueError(f"margin must be finite and at least {TOLERANCE}, got {margin}")
+        packed = (
+            obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
+        )
+        table = [(0, len(robot.link), 0, len(packed))] if parts is None else parts
+        self.robot = robot
+        self.world = World(robot.arrays, np.array(table, np.int64), *packed.arrays, margin)
+
+    @classmethod
+    def of_stages(cls, stages: Sequence[Stage], margin: float = TOLERANCE) -> EdgeChecker:
+        """Return the space that is free for all that moves in stages that overlap.
+
+        The spheres of each must stay clear of its own obstacles, and all of them of each other.
+
+        Args:
+            stages: at least one.
+            margin: see the class.
+
+        Raises:
+            ValueError: `margin` is less than `TOLERANCE` or not finite.
+        """
+        spheres = np.cumsum([0] + [len(stage.spheres) for stage in stages])
+        bodies = np.cumsum([0] + [len(stage.obstacles) for stage in stages])
+        return cls(
+            jaco_of_spheres(concatenate(*(stage.spheres for stage in stages))),
+            [body for stage in stages for body in stage.obstacles],
+            margin,
+            np.column_stack([spheres[:-1], spheres[1:], bodies[:-1], bodies[1:]]),
+        )
+
+    def configurations_free(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Return (N,) whether configurations (N,n) rad are free.
+
+        Raises:
+            ValueError: wrong shape, or not finite.
+        """
+        q = self._checked("configurations", configurations)
+        return self._free(q, q)
+
+    def edges_free(self, starts: ArrayLike, ends: ArrayLike) -> NDArray[np.bool_]:
+        """Return (N,) whether the straight edges between configurations (N,n) rad are free.
+
+        Free is what certainly keeps `margin` to all obstacles and `TOLERANCE` to itself all along.
+        An edge that keeps less than `TOLERANCE` more than that may be refused.
+
+        Raises:
+            ValueError: wrong shape, or not finite.
+        """
+        a, b = self._checked("starts", starts), self._checked("ends", ends)
+        if a.shape != b.shape:
+            raise ValueError(f"ends must have the shape of starts {a.shape}, got {b.shape}")
+        return self._free(a, b)
+
+    def _free(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
+        free = np.empty(len(starts), np.bool_)
+        _edges(self.world, starts, ends, free)
+        return free
+
+    def _checked(self, name: str, value: ArrayLike) -> FloatArray:
+        q = np.ascontiguousarray(value, np.float64)
+        if q.ndim != 2 or q.shape[1] != self.robot.joints:
+            raise ValueError(f"{name} must have shape (N, {self.robot.joints}), got {q.shape}")
+        if not np.isfinite(q).all():
+            raise ValueError(f"{name} must be finite, got {q[~np.isfinite(q).all(axis=1)][0]}")
+        return q

@@ -1,0 +1,341 @@
+"""The arm as the planner sees it: a chain of revolute joints and the spheres fixed to its links."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import SphereSet
+from smp_planner.collision import kernels as compiled
+
+__all__ = ["LinkPairs", "RobotArrays", "RobotModel", "jaco_model", "jaco_of_spheres"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
+    # Read-only arrays are another type to the compiler: without the copies it would do its work
+    # anew for each kind of robot.
+    array = np.array(value, np.float64, order="C")
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array}")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class LinkPairs:
+    """Pairs of spheres that shall not touch, by pair of links, with a ball around each link.
+
+    Attributes:
+        pairs: (M,2) indices of spheres, sorted by pair of links.
+        groups: (G,3) first link, second link, index of the first of their `pairs`.
+        sizes: (G,) how many pairs belong to a group.
+        ball_center: (L,3) m in the link's frame, middle of a ball around all spheres of the link.
+        ball_radius: (L,) m, its radius; 0 for a link without spheres.
+    """
+
+    pairs: IntArray
+    groups: IntArray
+    sizes: IntArray
+    ball_center: FloatArray
+    ball_radius: FloatArray
+
+
+class RobotArrays(NamedTuple):
+    """A robot as the compiled loops of the collision checks take it.
+
+    Attributes:
+        base: (4,4) pose of link 0.
+        origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero.
+        link: (S,) link of each sphere; those on link 0 are not checked against obstacles.
+        center: (S,3) m in the link's frame.
+        radius: (S,) m.
+        lever: (S,n) m, no sphere is ever farther from the axis of a joint.
+        groups: (G,3), as in `LinkPairs`, like the next four.
+        sizes: (G,).
+        pairs: (M,2).
+        ball_center: (n+1,3) m.
+        ball_radius: (n+1,) m.
+    """
+
+    base: FloatArray
+    origins: FloatArray
+    link: IntArray
+    center: FloatArray
+    radius: FloatArray
+    lever: FloatArray
+    groups: IntArray
+    sizes: IntArray
+    pairs: IntArray
+    ball_center: FloatArray
+    ball_radius: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A serial chain of n revolute joints, its limits, and S spheres around it.
+
+    Attributes:
+        base: (4,4) pose of link 0 in the base frame.
+        joint_origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero; the joint
+            turns about that frame's z, and the turned frame is link i + 1.
+        end_effector: (4,4) end-effector frame in the last link.
+        lower: (n,) rad, joint limits.
+        upper: (n,) rad.
+        velocity: (n,) rad/s, joint velocity limits.
+        spheres: what must stay clear of obstacles; held things belong to the last link.
+        collision_pairs: (M,2) indices of spheres that must stay clear of each other.
+    """
+
+    base: FloatArray
+    joint_origins: FloatArray
+    end_effector: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    spheres: SphereSet
+    collision_pairs: IntArray
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_origins)
+        shapes: dict[str, tuple[int, ...]] = {
+            "base": (4, 4),
+            "joint_origins": (n, 4, 4),
+            "end_effector": (4, 4),
+            "lower": (n,),
+            "upper": (n,),
+            "velocity": (n,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, _finite(name, getattr(self, name), shape))
+        if not (self.lower < self.upper).all():
+            raise ValueError(f"lower {self.lower} must be below upper {self.upper}")
+        if not (self.velocity > 0).all():
+            raise ValueError(f"velocity must be positive, got {self.velocity}")
+        link = self.link
+        if len(link) and not (link.min() >= 0 and link.max() <= n):
+            raise ValueError(f"spheres must be on links 0 to {n}, got {link.min()} to {link.max()}")
+        if (self.radius < 0).any():
+            raise ValueError(f"spheres.radius must not be negative, got {self.radius.min()}")
+        pairs = np.ascontiguousarray(self.collision_pairs, np.int64).reshape(-1, 2)
+        if len(pairs) and not (pairs.min() >= 0 and pairs.max() < len(link)):
+            raise ValueError(
+                f"collision_pairs must index the {len(link)} spheres, got {pairs.min()} to "
+                f"{pairs.max()}"
+            )
+        object.__setattr__(self, "collision_pairs", pairs)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joint_origins)
+
+    @property
+    def endless(self) -> NDArray[np.bool_]:
+        """(n,) which joints reach the same place in more than one way."""
+        return np.asarray(self.upper - self.lower > 2 * np.pi)
+
+    @cached_property
+    def link(self) -> IntArray:
+        """(S,) link of each sphere."""
+        return np.array(self.spheres.link, np.int64)
+
+    @cached_property
+    def center(self) -> FloatArray:
+        """(S,3) m, centre of each sphere in its link's frame."""
+        return _finite("spheres.center", self.spheres.center, (len(self.link), 3))
+
+    @cached_property
+    def radius(self) -> FloatArray:
+        """(S,) m, radius of each sphere."""
+        return _finite("spheres.radius", self.spheres.radius, (len(self.link),))
+
+    @cached_property
+    def link_pairs(self) -> LinkPairs:
+        """`collision_pairs` in the order in which the compiled loops go through them."""
+        count = self.joints + 1
+        ball_center = np.zeros((count, 3))
+        ball_radius = np.zeros(count)
+        for k in range(count):
+            on_link = self.link == k
+            if on_link.any():
+                center, radius = self.center[on_link], self.radius[on_link]
+                low = (center - radius[:, None]).min(axis=0)
+                high = (center + radius[:, None]).max(axis=0)
+                ball_center[k] = (low + high) / 2
+                reach = np.linalg.norm(center - ball_center[k], axis=1) + radius
+                ball_radius[k] = reach.max()
+        # The link nearer to the base first, so that two orders of the same pair share a group.
+        swap = self.link[self.collision_pairs[:, 0]] > self.link[self.collision_pairs[:, 1]]
+        pairs = np.where(swap[:, None], self.collision_pairs[:, ::-1], self.collision_pairs)
+        links = self.link[pairs].reshape(-1, 2)
+        order = np.lexsort((links[:, 1], links[:, 0]))
+        names, first, sizes = np.unique(links[order], axis=0, return_index=True, return_counts=True)
+        return LinkPairs(
+            pairs=np.ascontiguousarray(pairs[order]),
+            groups=np.column_stack([names, first]).astype(np.int64).reshape(-1, 3),
+            sizes=sizes.astype(np.int64),
+            ball_center=ball_center,
+            ball_radius=ball_radius,
+        )
+
+    @cached_property
+    def levers(self) -> FloatArray:
+        """(S,n) m: no sphere is ever farther from the axis of a joint; 0 if it is not moved.
+
+        By the triangle inequality, from the sphere inwards.
+        """
+        origins = self.joint_origins[:, :3, 3]
+        lever = np.zeros((len(self.link), self.joints))
+        for s, (link, center) in enumerate(zip(self.link, self.center, strict=True)):
+            beyond = 0.0
+            for joint in range(link - 1, -1, -1):
+                arm = center if joint == link - 1 else origins[joint + 1]
+                lever[s, joint] = math.hypot(arm[0], arm[1]) + beyond
+                beyond += float(np.linalg.norm(arm))
+        return lever
+
+    @cached_property
+    def arrays(self) -> RobotArrays:
+        """All that the compiled loops of the collision checks need."""
+        pairs = self.link_pairs
+        return RobotArrays(
+            self.base,
+            self.joint_origins,
+            self.link,
+            self.center,
+            self.radius,
+            self.levers,
+            pairs.groups,
+            pairs.sizes,
+            pairs.pairs,
+            pairs.ball_center,
+            pairs.ball_radius,
+        )
+
+    def carried(self, point: Any) -> FloatArray:
+        """Return (3,) m, in the last link's frame, of a point (3,) fixed in the end-effector frame.
+
+        Raises:
+            ValueError: the point is not three finite numbers.
+        """
+        x = _finite("point", point, (3,))
+        return self.end_effector[:3, :3] @ x + self.end_effector[:3, 3]
+
+    def carried_points(self, configurations: Any, point: Any) -> tuple[FloatArray, FloatArray]:
+        """Return where the hand carries a point, and the derivative with respect to the joints.
+
+        Args:
+            configurations: (..., n) rad.
+            point: (3,) m, fixed in the end-effector frame.
+
+        Returns:
+            (..., 3) m in the base frame, and (..., 3, n) m/rad.
+
+        Raises:
+            ValueError: wrong shape, or not finite.
+        """
+        q = np.ascontiguousarray(configurations, np.float64)
+        if q.ndim == 0 or q.shape[-1] != self.joints:
+            raise ValueError(f"configurations must have shape (..., {self.joints}), got {q.shape}")
+        _finite("configurations", q, q.shape)
+        angles = np.ascontiguousarray(q.reshape(-1, self.joints).T)
+        placed = np.empty((1, 3, angles.shape[1]))
+        jacobians = np.empty((3, self.joints, angles.shape[1]))
+        compiled.carried_points(
+            angles,
+            self.base,
+            self.joint_origins,
+            np.array([self.joints]),
+            self.carried(point)[None],
+            placed,
+            jacobians,
+        )
+        batch = q.shape[:-1]
+        return (
+            placed[0].T.reshape(*batch, 3),
+            np.moveaxis(jacobians, 2, 0).reshape(*batch, 3, self.joints),
+        )
+
+    def link_transforms(self, configurations: torch.Tensor) -> torch.Tensor:
+        """Return the poses (..., n + 1, 4, 4) of all links, differentiable by autograd.
+
+        The slow and plain way through the chain, in the dtype and on the device of the argument:
+        the oracle of the compiled loops.
+
+        Args:
+            configurations: (..., n) rad.
+        """
+        q = configurations
+        if q.ndim == 0 or q.shape[-1] != self.joints:
+            raise ValueError(
+                f"configurations must have shape (..., {self.joints}), got {tuple(q.shape)}"
+            )
+
+        def constant(value: FloatArray) -> torch.Tensor:
+            return torch.tensor(value, dtype=q.dtype, device=q.device)
+
+        cosine, sine = torch.cos(q), torch.sin(q)
+        zero, one = torch.zeros_like(q[..., 0]), torch.ones_like(q[..., 0])
+        pose = constant(self.base).expand(*q.shape[:-1], 4, 4)
+        poses = [pose]
+        for k in range(self.joints):
+            c, s = cosine[..., k], sine[..., k]
+            turn = torch.stack(
+                [c, -s, zero, zero, s, c, zero, zero, zero, zero, one, zero, zero, zero, zero, one],
+                dim=-1,
+            ).reshape(*q.shape[:-1], 4, 4)
+            pose = pose @ constant(self.joint_origins[k]) @ turn
+            poses.append(pose)
+        return torch.stack(poses, dim=-3)
+
+    def sphere_centers(self, configurations: torch.Tensor) -> torch.Tensor:
+        """Return the centres (..., S, 3) m of all spheres in the base frame, by autograd's way.
+
+        Args:
+            configurations: (..., n) rad.
+        """
+        poses = self.link_transforms(configurations)
+        poses = poses[..., torch.tensor(self.link, device=poses.device), :, :]
+        center = torch.tensor(self.center, dtype=poses.dtype, device=poses.device)
+        return (poses[..., :3, :3] @ center[..., None])[..., 0] + poses[..., :3, 3]
+
+
+def jaco_model(attached: SphereSet | None = None) -> RobotModel:
+    """Return the JACO j2s6s200 with its link spheres.
+
+    Args:
+        attached: spheres that move with the last link: fingers and a held object.
+    """
+    spheres = kinematics.arm_spheres()
+    if attached is not None:
+        spheres = kinematics.concatenate(spheres, attached)
+    return jaco_of_spheres(spheres)
+
+
+def jaco_of_spheres(spheres: SphereSet) -> RobotModel:
+    """Return the JACO j2s6s200 with the given spheres in place of its own.
+
+    Args:
+        spheres: of arm, fingers and held things, or a part of them.
+    """
+    return RobotModel(
+        base=kinematics.BASE_TRANSFORM,
+        joint_origins=kinematics.JOINT_ORIGINS,
+        end_effector=kinematics.END_EFFECTOR,
+        lower=kinematics.JOINT_LOWER,
+        upper=kinematics.JOINT_UPPER,
+        velocity=kinematics.JOINT_VELOCITY,
+        spheres=spheres,
+        collision_pairs=kinematics.self_collision_pairs(spheres),
+    )

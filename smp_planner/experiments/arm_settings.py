@@ -1,0 +1,160 @@
+"""Settings of Stein variational gradient descent side by side, on scenes of the tasks.
+
+Nothing is executed: what is compared are whole sets of particles, as the planners' exact check
+judges them. Particles are *good* if they are collision-free, executable within the joint limits and
+pass all via-points.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_planner.benchmark.episodes import environment_id
+from smp_planner.benchmark.metrics import compare, resample, rms_distances
+from smp_planner.collision.robot_model import jaco_model
+from smp_planner.experiments.tables import Column, Row
+from smp_planner.planning.problem import Problem
+from smp_planner.policy.planner_policy import PlannerPolicy
+
+__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "measure_cell"]
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "paper": {"inference": "paper"},
+    "paper, 4 times the iterations": {"inference": "paper", "iterations": 400},
+    "raw weights": {"inference": "raw"},
+    "med²/log m": {"inference": "median_over_log"},
+    "inverse multi-quadric": {"inference": "imq"},
+    "path kernel": {"inference": "path_kernel"},
+    "no annealing": {"inference": "no_annealing"},
+    "cyclic annealing": {"inference": "cyclic"},
+    "no repulsion": {"inference": "no_repulsion"},
+}
+"""What is compared, by the name in the table; settings of `smp` on top of the task's own.
+
+Without repulsion each particle ascends its own gradient: independent restarts."""
+
+PRIORS: dict[str, float] = {"usual": 1.0, "narrow": 0.5}
+"""Factor of the freedom that is added to what the demonstrations teach (`smooth_std`)."""
+
+COLUMNS = (
+    Column("task", "Task"),
+    Column("prior", "Prior"),
+    Column("variant", "Setting"),
+    Column("solved", "Scenes with a good particle, %", 0),
+    Column("free", "Free, %", 1),
+    Column("executable", "Executable, %", 1),
+    Column("good", "Good, %", 1),
+    Column("wasserstein", "W1, mm", 1),
+    Column("frechet", "Fréchet, mm", 1),
+    Column("mmd", "MMD", 3),
+    Column("modes", "Modes", 1),
+    Column("entropy", "Entropy, nats"),
+    Column("diversity", "Diversity, mm", 1),
+    Column("seconds", "Planning, s"),
+)
+"""Of the printed table. Similarity, modes and diversity are those of the good particles."""
+
+_REFERENCE_SIZE = 400
+FloatArray = NDArray[np.float64]
+
+
+class Cell(NamedTuple):
+    """One measurement.
+
+    Attributes:
+        task: its name.
+        prior: one of `PRIORS`.
+        variant: one of `VARIANTS`.
+        difficulty: of the scene.
+        seed: of the scene.
+    """
+
+    task: str
+    prior: str
+    variant: str
+    difficulty: str
+    seed: int
+
+
+@lru_cache(maxsize=1)
+def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make(environment_id(task), difficulty=difficulty)
+
+
+@lru_cache(maxsize=64)
+def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
+    own: dict[str, Any] = dict(VARIANTS[variant]) | {"retries": 0}
+    usual = PlannerPolicy.make("smp", task).planner.settings.smooth_std
+    own["smooth_std"] = usual * PRIORS[prior]
+    if method == "promp":
+        own = {"smooth_std": own["smooth_std"], "particles": _REFERENCE_SIZE}
+    return PlannerPolicy.make(method, task, settings=own)
+
+
+@lru_cache(maxsize=4)
+def _reference(task: str, prior: str, difficulty: str, seed: int) -> FloatArray:
+    """Return draws (R, T, 3) m of the primitive tied to the scene's start and goal."""
+    policy = _policy(task, prior, "promp", "default")
+    problem = _problem(policy, task, difficulty, seed)
+    (plan,) = policy.planner.plan([problem])
+    return _paths(problem, plan.trajectories)
+
+
+def _problem(policy: PlannerPolicy, task: str, difficulty: str, seed: int) -> Problem:
+    observation, _ = _environment(task, difficulty).reset(seed=seed)
+    return policy.problem(observation)
+
+
+def _paths(problem: Problem, trajectories: FloatArray) -> FloatArray:
+    """Return the paths (P, T, 3) m of the carried point."""
+    robot = jaco_model(problem.attached)
+    return robot.carried_points(trajectories, problem.goals[0].point)[0]
+
+
+def measure_cell(cell: Cell) -> Row:
+    """Plan once and return what is measured of the set; None where no particle is good."""
+    torch.set_num_threads(1)
+    policy = _policy(cell.task, cell.prior, "smp", cell.variant)
+    problem = _problem(policy, cell.task, cell.difficulty, cell.seed)
+    (plan,) = policy.planner.plan([problem])
+    good = plan.good
+    row: dict[str, str | float | None] = {
+        "task": cell.task,
+        "prior": cell.prior,
+        "variant": cell.variant,
+        "seed": float(cell.seed),
+        "solved": 100.0 * float(good.any()),
+        "free": 100.0 * float(plan.collision_free.mean()),
+        "executable": 100.0 * float(plan.executable.mean()),
+        "good": 100.0 * float(good.mean()),
+        "seconds": plan.planning_time,
+    }
+    measured = ("wasserstein", "frechet", "mmd", "modes", "entropy", "diversity")
+    if not good.any():
+        return row | dict.fromkeys(measured)
+    paths = _paths(problem, plan.trajectories[good])
+    reference = _reference(cell.task, cell.prior, cell.difficulty, cell.seed)
+    similarity = compare(paths, reference)
+    return row | {
+        "wasserstein": 1e3 * similarity.wasserstein,
+        "frechet": 1e3 * similarity.frechet,
+        "mmd": similarity.mmd,
+        "modes": float(plan.modes.count),
+        "entropy": plan.modes.entropy,
+        "diversity": 1e3 * diversity(paths) if len(paths) > 1 else None,
+    }
+
+
+def diversity(paths: FloatArray) -> float:
+    """Return the mean distance, root mean square over time, of two different paths (P, T, d)."""
+    sampled = resample(paths)
+    count = len(sampled)
+    return float(rms_distances(sampled, sampled).sum() / (count * (count - 1)))

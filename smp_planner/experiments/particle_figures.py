@@ -1,0 +1,399 @@
+"""Figures 3 to 6 of the paper: particles before and after, two modes of one scene, two new ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
+from smp_gym.sampling import sample_scene
+from smp_gym.scene import PAD_DEPTH, Goal, ManipulatedObject, Obstacle, Scene
+from smp_gym.tasks.double_sided_placement.rules import NOMINAL_PADS, START_CONFIGURATION
+from smp_planner.benchmark.episodes import environment_id
+from smp_planner.benchmark.figures import (
+    Way,
+    carried_point,
+    object_paths,
+    paint_scene,
+    write_video,
+)
+from smp_planner.benchmark.metrics import rms_distances
+from smp_planner.planners.judging import REACHED
+from smp_planner.planning.problem import Plan
+from smp_planner.policy.planner_policy import PlannerPolicy
+
+__all__ = [
+    "TwoModes",
+    "draw_before_and_after",
+    "draw_two_modes",
+    "draw_two_sides",
+    "find_two_modes",
+    "modulated_scene",
+    "play_particle",
+]
+
+FloatArray = NDArray[np.float64]
+Frames = list[NDArray[np.uint8]]
+
+FRAME_SIZE = (640, 480)
+"""Width and height of the pictures of an episode, pixels."""
+
+SHIFT = 0.15
+"""By how much, m, Fig. 4 moves the left end towards the middle. The right one is lifted to
+`PAD_DEPTH`, the highest that a pad can stand: by 11.5 cm, where the paper has 15 cm."""
+
+_START_SHIFT = (-0.06, 0.0, 0.06)
+"""By how much, m, the start of Fig. 4 lies from where the demonstrations begin."""
+
+_FREE, _COLLIDING, _FAINT, _DARK = "#7fa3ee", "#ea8585", "#b9c6de", "#4b5563"
+_MODES = ("#f59e0b", "#059669")
+_BEFORE: dict[str, Any] = {"iterations": 1, "step_size": 1e-12, "retries": 0}
+_TITLES = {
+    "DrawS": "Draw-S",
+    "Placement": "Placement",
+    "PushLiftBox": "Push-Lift-Box",
+    "DoubleSidedPlacement": "Placement on double sides",
+}
+_STILLS = 5
+_LEAST_SHARE = 0.1
+"""Share of the good particles that each of two modes must hold."""
+
+_FAR_CAMERA = {"distance": 1.7, "target": (0.32, 0.0, 0.3)}
+_FRONT_CAMERA = {"yaw": 95.0, "pitch": -35.0}
+_FRONT_AZIMUTH = 12.0
+
+
+def _plan(policy: PlannerPolicy, env: gym.Env[Any, Any], scene: Scene) -> Plan:
+    """Return the plan for a scene, on one thread."""
+    torch.set_num_threads(1)
+    observation, _ = env.reset(options={"scene": scene})
+    (plan,) = policy.planner.plan([policy.problem(observation)])
+    return plan
+
+
+def play_particle(
+    env: gym.Env[Any, Any], scene: Scene, policy: PlannerPolicy, plan: Plan, particle: int
+) -> tuple[bool, Frames]:
+    """Execute one particle of a plan; return whether it succeeded, and a picture of each step.
+
+    Args:
+        env: of the scene's task; without a render mode there are no pictures.
+        scene: that was planned for.
+        policy: that planned.
+        plan: of all particles.
+        particle: index of the one to execute.
+    """
+    observation, info = env.reset(options={"scene": scene})
+    track = policy.track(plan, particle)
+    frames: Frames = []
+    step, over = 0, False
+    while not over:
+        if env.render_mode is not None:
+            frames.append(env.render())  # type: ignore[arg-type]
+        reference = np.asarray(observation["observation"][6:12], np.float64)
+        observation, _, terminated, truncated, info = env.step(track.action(step, reference))
+        step += 1
+        over = terminated or truncated
+    if env.render_mode is not None:
+        frames.append(env.render())  # type: ignore[arg-type]
+    return bool(info["is_success"]), frames
+
+
+def _successful(plan: Plan) -> NDArray[np.bool_]:
+    """Return (P,) which particles the planner judges good and at the goal."""
+    return plan.good & (plan.goal_error < REACHED)
+
+
+def _ways(scene: Scene, plan: Plan) -> list[Way]:
+    """Return a line for each particle: successful, or not."""
+    paths = object_paths(plan.trajectories, carried_point(scene))
+    return [
+        Way(path, _FREE if done else _COLLIDING)
+        for path, done in zip(paths, _successful(plan), strict=True)
+    ]
+
+
+def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
+    """Draw the particles of each scene before and after adaptation, and write a PNG (Fig. 3).
+
+    Before are draws of the primitive conditioned on start, goal and via-points: the same ones that
+    Stein's method then carries on.
+
+    Args:
+        scenes: one column each.
+        path: of the image.
+    """
+    figure = Figure(figsize=(5.2 * len(scenes), 9.4), dpi=130, facecolor="white")
+    FigureCanvasAgg(figure)
+    width = 0.97 / len(scenes)
+    for column, scene in enumerate(scenes):
+        env = gym.make(environment_id(scene.task))
+        plans = [
+            _plan(PlannerPolicy.make("smp", scene.task, settings=settings), env, scene)
+            for settings in (_BEFORE, {})
+        ]
+        env.close()
+        ways = [_ways(scene, plan) for plan in plans]
+        left = 0.03 + column * width
+        both = [figure.add_axes((left, bottom, width - 0.006, 0.42)) for bottom in (0.5, 0.035)]
+        for row, (axes, plan) in enumerate(zip(both, plans, strict=True)):
+            paint_scene(axes, scene, ways[row], within=ways[1 - row])
+            count, done = len(plan.good), int(_successful(plan).sum())
+            axes.set_title(f"{done} of {count} succeed", fontsize=11, color=_DARK, y=-0.05)
+        _share_limits(both)
+        name = _TITLES[scene.task]
+        figure.text(left + width / 2, 0.955, name, fontsize=16, weight="bold", ha="center")
+    for height, name in ((0.71, "before adaptation"), (0.245, "after adaptation")):
+        figure.text(0.01, height, name, fontsize=13, rotation=90, va="center")
+    figure.savefig(path)
+
+
+def _share_limits(pictures: Sequence[Any]) -> None:
+    """Give pictures from one camera the same limits, wide enough for each."""
+    for get, set_ in (("get_xlim", "set_xlim"), ("get_ylim", "set_ylim")):
+        limits = np.array([getattr(axes, get)() for axes in pictures])
+        for axes in pictures:
+            getattr(axes, set_)(limits[:, 0].min(), limits[:, 1].max())
+
+
+@dataclass(frozen=True)
+class TwoModes:
+    """Two ways through a scene, over an obstacle and beside it.
+
+    Attributes:
+        scene: what is planned in.
+        plan: of all particles.
+        over: the particle that passes over.
+        beside: the particle that passes beside.
+        distance: m, root mean squared over time, between the two ways of the carried point.
+    """
+
+    scene: Scene
+    plan: Plan
+    over: int
+    beside: int
+    distance: float
+
+
+def _over_and_beside(scene: Scene, plan: Plan) -> list[TwoModes]:
+    """Return all pairs of best good particles of two modes, over and beside some obstacle."""
+    best = plan.best_of_modes
+    best = best[_successful(plan)[best] & (plan.modes.shares >= _LEAST_SHARE)]
+    if plan.signatures is None or len(best) == 0:
+        return []
+    levels = plan.signatures[best, 1:].reshape(len(best), -1, 2)[..., 1]
+    paths = object_paths(plan.trajectories[best], carried_point(scene))
+    distances = rms_distances(paths, paths)
+    return [
+        TwoModes(scene, plan, int(best[a]), int(best[b]), float(distances[a, b]))
+        for a, b in product(range(len(best)), repeat=2)
+        if ((levels[a] == 1) & (levels[b] == 0)).any()
+    ]
+
+
+def find_two_modes(task: str, seeds: range, difficulty: str = "easy") -> TwoModes:
+    """Return the two modes, over and beside an obstacle, that are farthest apart in some scenes.
+
+    Each holds a tenth of the good particles at least, and its best one is executed with success in
+    the physics.
+
+    Args:
+        task: one of `smp_gym.scene.TASKS`.
+        seeds: of the scenes.
+        difficulty: of the scenes.
+
+    Raises:
+        RuntimeError: no scene has two such modes.
+    """
+    env = gym.make(environment_id(task))
+    policy = PlannerPolicy.make("smp", task)
+    found: list[TwoModes] = []
+    for seed in seeds:
+        scene = sample_scene(task, difficulty, seed)
+        found += _over_and_beside(scene, _plan(policy, env, scene))
+    for pair in sorted(found, key=lambda pair: -pair.distance):
+        executed = (
+            play_particle(env, pair.scene, policy, pair.plan, particle)[0]
+            for particle in (pair.over, pair.beside)
+        )
+        if all(executed):
+            env.close()
+            return pair
+    env.close()
+    raise RuntimeError(f"{task}: no scene of {seeds} is passed over and beside an obstacle")
+
+
+def _stills(axes: Any, frames: Frames) -> None:
+    """Show some pictures of an episode, from its first to its last."""
+    chosen = np.linspace(0, len(frames) - 1, _STILLS).round().astype(int)
+    for cell, index in zip(axes, chosen, strict=True):
+        cell.imshow(frames[index])
+        cell.set_axis_off()
+
+
+def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> tuple[bool, bool]:
+    """Execute two modes; write a sheet of pictures and a video of each (Fig. 5 and 6).
+
+    Args:
+        pair: from `find_two_modes`.
+        stills: path of the sheet.
+        videos: paths of the videos, over and beside.
+
+    Returns:
+        Whether each was executed with success.
+    """
+    figure = Figure(figsize=(19.5, 5.9), dpi=110, facecolor="white")
+    FigureCanvasAgg(figure)
+    width, height = FRAME_SIZE
+    env = gym.make(
+        environment_id(pair.scene.task),
+        render_mode="rgb_array",
+        width=width,
+        height=height,
+        camera=_FAR_CAMERA,
+    )
+    policy = PlannerPolicy.make("smp", pair.scene.task)
+    done = []
+    axes = figure.add_axes((0.0, 0.02, 0.245, 0.9))
+    paths = object_paths(pair.plan.trajectories, carried_point(pair.scene))
+    ways = [Way(path, _FAINT) for path in paths[pair.plan.good]]
+    for particle, color in zip((pair.over, pair.beside), _MODES, strict=True):
+        ways.append(Way(paths[particle], color, 3.2, rimmed=True))
+    paint_scene(axes, pair.scene, ways)
+    rows = (("over", pair.over, videos[0]), ("beside", pair.beside, videos[1]))
+    for row, (name, particle, video) in enumerate(rows):
+        success, frames = play_particle(env, pair.scene, policy, pair.plan, particle)
+        done.append(success)
+        write_video(frames, video)
+        size = 0.75 / _STILLS
+        cells = [
+            figure.add_axes((0.25 + k * size, 0.49 - 0.47 * row, size - 0.003, 0.44))
+            for k in range(_STILLS)
+        ]
+        _stills(cells, frames)
+        figure.text(0.252, 0.94 - 0.47 * row, name, fontsize=13, weight="bold", color=_MODES[row])
+    env.close()
+    figure.text(0.01, 0.945, _TITLES[pair.scene.task], fontsize=15, weight="bold")
+    figure.savefig(stills)
+    return done[0], done[1]
+
+
+def modulated_scene() -> Scene:
+    """Return the scene of Fig. 4: a new start, both ends moved, obstacles on both ways.
+
+    The left pad stands nearer to the middle, by `SHIFT`, the right one as high as a pad can.
+    """
+    pose = end_effector_pose(np.array(START_CONFIGURATION))
+    start = inverse_kinematics(
+        pose[:3, 3] + _START_SHIFT, pose[:3, :3], seed=np.array(START_CONFIGURATION)
+    )
+    (x, y, z), (right_x, right_y, _) = NOMINAL_PADS
+    pads = ((x, y - SHIFT, z), (right_x, right_y, PAD_DEPTH))
+    return Scene(
+        task="DoubleSidedPlacement",
+        start=tuple(start.tolist()),
+        manipulated=ManipulatedObject(),
+        goals=tuple(Goal(kind="pad", position=pad) for pad in pads),
+        obstacles=_OBSTACLES,
+    )
+
+
+_OBSTACLES = (
+    Obstacle(shape="cylinder", position=(0.47, 0.15, 0.15), size=(0.03, 0.03, 0.15)),
+    Obstacle(shape="box", position=(0.58, 0.20, 0.12), size=(0.03, 0.04, 0.12)),
+    Obstacle(shape="cylinder", position=(0.44, -0.23, 0.19), size=(0.035, 0.035, 0.19)),
+    Obstacle(shape="box", position=(0.57, -0.26, 0.13), size=(0.04, 0.03, 0.13)),
+    Obstacle(shape="sphere", position=(0.42, -0.40, 0.55), size=(0.05, 0.05, 0.05)),
+)
+"""Obstacles of Fig. 4."""
+
+
+def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tuple[bool, bool]:
+    """Plan in `modulated_scene`, execute the best particle of each side, and draw both (Fig. 4).
+
+    Args:
+        stills: path of the sheet.
+        videos: paths of the videos, left and right.
+        seed: of the policy.
+
+    Returns:
+        Whether each side was executed with success.
+
+    Raises:
+        RuntimeError: no good particle on one of the sides.
+    """
+    scene = modulated_scene()
+    width, height = FRAME_SIZE
+    env = gym.make(
+        environment_id(scene.task),
+        render_mode="rgb_array",
+        width=width,
+        height=height,
+        camera=_FRONT_CAMERA,
+    )
+    policy = PlannerPolicy.make("smp", scene.task, seed=seed)
+    plan = _plan(policy, env, scene)
+    assert plan.signatures is not None
+    assert plan.ranks is not None
+    sides = plan.signatures[:, 0]
+    figure = Figure(figsize=(19.5, 12.0), dpi=110, facecolor="white")
+    FigureCanvasAgg(figure)
+    paths = object_paths(plan.trajectories, carried_point(scene))
+    shipped = object_paths(Demonstrations.load(scene.task).configurations, carried_point(scene))
+    taught = [Way(path, _DARK, 1.1, dashed=True) for path in shipped]
+    bare = scene.model_copy(update={"obstacles": ()})
+    paint_scene(figure.add_axes((0.0, 0.47, 0.5, 0.46)), bare, taught, _FRONT_AZIMUTH)
+    done, best = [], []
+    for side, name in enumerate(("left", "right")):
+        candidates = np.flatnonzero(_successful(plan) & (sides == side))
+        if len(candidates) == 0:
+            raise RuntimeError(f"no good particle goes to the {name} pad")
+        best.append(int(candidates[plan.ranks[candidates].argmin()]))
+        success, frames = play_particle(env, scene, policy, plan, best[side])
+        done.append(success)
+        write_video(frames, videos[side])
+        cells = [
+            figure.add_axes((0.005 + 0.2 * k, 0.235 - 0.225 * side, 0.19, 0.205))
+            for k in range(_STILLS)
+        ]
+        _stills(cells, frames)
+        figure.text(
+            0.008, 0.443 - 0.225 * side, name, fontsize=13, weight="bold", color=_MODES[side]
+        )
+    env.close()
+    ways = _ways(scene, plan)
+    chosen = [Way(paths[p], color, 3.4, rimmed=True) for p, color in zip(best, _MODES, strict=True)]
+    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, [*ways, *chosen], _FRONT_AZIMUTH)
+    figure.text(0.02, 0.955, "demonstrations, new start and new ends", fontsize=15, weight="bold")
+    figure.text(0.52, 0.955, "adapted", fontsize=15, weight="bold")
+    figure.legend(
+        handles=[
+            Line2D(
+                [],
+                [],
+                color=_FREE,
+                lw=1.5,
+                label=f"particles that succeed ({int(_successful(plan).sum())})",
+            ),
+            Line2D([], [], color=_MODES[0], lw=3.4, label="executed, left"),
+            Line2D([], [], color=_MODES[1], lw=3.4, label="executed, right"),
+        ],
+        loc="upper right",
+        frameon=False,
+        fontsize=11,
+    )
+    figure.savefig(stills)
+    return done[0], done[1]

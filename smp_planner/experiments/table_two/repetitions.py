@@ -1,0 +1,351 @@
+"""One repetition of Table II: a plan made, measured, and every particle of it executed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.robot.kinematics import UnreachableError
+from smp_gym.scene import TASKS, Scene
+from smp_planner.benchmark.episodes import environment_id
+from smp_planner.benchmark.metrics import (
+    COMPARED_SAMPLES,
+    Metrics,
+    compare,
+    path_lengths,
+    success_rates,
+)
+from smp_planner.collision.robot_model import RobotModel, jaco_model
+from smp_planner.experiments.table_two.scenes import PRIOR, load_scenes
+from smp_planner.movement_primitives import ProMP
+from smp_planner.movement_primitives.mixture import shared_out
+from smp_planner.planners import TASK_SETTINGS, PlannerModel, make_planner
+from smp_planner.planners.judging import REACHED, free_waypoints
+from smp_planner.planners.tying import tie_primitive
+from smp_planner.planning.modes import group
+from smp_planner.planning.problem import Plan, Problem
+from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.policy.tracking import Track
+
+__all__ = [
+    "FLOOR",
+    "METHODS",
+    "PARTICLES",
+    "REFERENCE_DRAWS",
+    "RepetitionKey",
+    "RepetitionRow",
+    "methods_of",
+    "parse_row",
+    "play_repetition",
+]
+
+FloatArray = NDArray[np.float64]
+
+PARTICLES = 42
+"""Trajectories of each repetition, as in the paper."""
+
+REFERENCE_DRAWS = 1000
+"""Trajectories of the unadapted primitive with which all are compared."""
+
+FLOOR = "floor"
+"""Name of the rows in which a fresh draw of the unadapted primitive takes the place of a plan."""
+
+_MATCHED = "_matched"
+_BASELINES = ("cpromp", "prompt_o", "promp_diff")
+METHODS = (
+    FLOOR,
+    "promp",
+    "smp",
+    *_BASELINES,
+    *(name + _MATCHED for name in _BASELINES),
+    "rrt_connect",
+)
+"""Rows of each task; those that end in ``_matched`` keep one Gaussian for all demonstrations, its
+moments matched to them, as the paper's baselines do, and are of tasks with several ways only."""
+
+SAMPLES = 200
+"""Samples of each trajectory, as in plans, at which lengths and smoothness are measured."""
+
+_UNREACHABLE = "goal out of reach"
+
+
+@dataclass(frozen=True, order=True)
+class RepetitionKey:
+    """What identifies a repetition.
+
+    Attributes:
+        repetition: seed of the policy.
+        task: one of `smp_gym.scene.TASKS`.
+        method: one of `METHODS`.
+    """
+
+    repetition: int
+    task: str
+    method: str
+
+
+@dataclass(frozen=True)
+class RepetitionRow:
+    """What is kept of a repetition; P particles. Lists are empty in rows of the noise floor.
+
+    Similarity and lengths are those of the ways of the carried point (the object's centre or the
+    pen's tip), in metres, against `REFERENCE_DRAWS` draws of the unadapted primitive: conditioned
+    on start, goal and via-points of the scene, with the freedom that all methods of the task start
+    from.
+
+    Attributes:
+        repetition: see `RepetitionKey`, as the next two.
+        task: name of the task.
+        method: name of the method.
+        success: P, whether the physics judged the executed particle a success.
+        causes: P, why it failed; empty after a success.
+        steps: P, environment steps.
+        planned: P, whether the planner's own check finds it collision-free, executable and ending
+            in the goal.
+        lengths: P, m, of the planned way.
+        free_waypoints: share of the collision-free configurations of all trajectories together.
+        all: similarity of all particles; None if there are none.
+        successful: of those that succeeded in the physics; None if none did.
+        floor: of as many fresh draws of the primitive as there are successful particles.
+        modes: number of classes of the successful ones, see `Plan.signatures`.
+        entropy: of their shares, nats.
+        planning_time: s.
+    """
+
+    repetition: int
+    task: str
+    method: str
+    success: tuple[bool, ...] = ()
+    causes: tuple[str, ...] = ()
+    steps: tuple[int, ...] = ()
+    planned: tuple[bool, ...] = ()
+    lengths: tuple[float, ...] = ()
+    free_waypoints: float | None = None
+    all: Metrics | None = None
+    successful: Metrics | None = None
+    floor: Metrics | None = None
+    modes: int = 0
+    entropy: float = 0.0
+    planning_time: float = 0.0
+
+    @property
+    def key(self) -> RepetitionKey:
+        """Which repetition this is."""
+        return RepetitionKey(self.repetition, self.task, self.method)
+
+    def content(self) -> dict[str, Any]:
+        """Return what goes to JSON and back by `parse_row`."""
+        return asdict(self)
+
+
+def parse_row(content: dict[str, Any]) -> RepetitionRow:
+    """Return the row that `RepetitionRow.content` describes.
+
+    Raises:
+        TypeError: fields are missing or not known.
+    """
+    fields = dict(content)
+    for name in ("success", "causes", "steps", "planned", "lengths"):
+        fields[name] = tuple(fields[name])
+    for name in ("all", "successful", "floor"):
+        fields[name] = None if fields[name] is None else Metrics(**fields[name])
+    return RepetitionRow(**fields)
+
+
+def methods_of(task: str, methods: Sequence[str] = METHODS) -> list[str]:
+    """Return those of `methods` that a task has rows of."""
+    several = len(_prior(task).mixture.components) > 1
+    return [name for name in methods if several or not name.endswith(_MATCHED)]
+
+
+def play_repetition(key: RepetitionKey) -> RepetitionRow:
+    """Play one repetition; environment and planners are made once per process."""
+    if key.method == FLOOR:
+        floor = _fresh(key.task, PARTICLES, key.repetition)
+        return RepetitionRow(key.repetition, key.task, key.method, all=floor)
+    policy = _policy(key.task, key.method)
+    policy.set_random_seed(key.repetition)
+    env = _environment(key.task)
+    observation, _ = env.reset(options={"scene": load_scenes()[key.task]})
+    problem = policy.problem(observation)
+    try:
+        (plan,) = policy.planner.plan([problem])
+    except UnreachableError:
+        return _without_plan(key)
+    return _measured(key, problem, plan, _executed(env, load_scenes()[key.task], policy, plan))
+
+
+def _without_plan(key: RepetitionKey) -> RepetitionRow:
+    """Return the row of a method that finds no configuration at any goal."""
+    return RepetitionRow(
+        key.repetition,
+        key.task,
+        key.method,
+        success=(False,) * PARTICLES,
+        causes=(_UNREACHABLE,) * PARTICLES,
+        steps=(0,) * PARTICLES,
+        planned=(False,) * PARTICLES,
+        lengths=(0.0,) * PARTICLES,
+    )
+
+
+def _measured(
+    key: RepetitionKey, problem: Problem, plan: Plan, infos: list[tuple[int, dict[str, Any]]]
+) -> RepetitionRow:
+    robot = jaco_model(problem.attached)
+    paths = robot.carried_points(plan.trajectories, problem.goals[0].point)[0]
+    success = np.array([bool(info["is_success"]) for _, info in infos])
+    reached = plan.goal_error < REACHED
+    free = free_waypoints(problem, robot, plan.trajectories)
+    count = int(success.sum())
+    reference = _reference(key.task)
+    successful = floor = None
+    modes = None
+    if count:
+        successful = compare(paths[success], reference)
+        floor = _fresh(key.task, count, key.repetition)
+        assert plan.signatures is not None
+        modes = group(plan.signatures[success])
+    return RepetitionRow(
+        key.repetition,
+        key.task,
+        key.method,
+        success=tuple(success.tolist()),
+        causes=tuple(_cause(info) for _, info in infos),
+        steps=tuple(steps for steps, _ in infos),
+        planned=tuple((plan.good & reached).tolist()),
+        lengths=tuple(path_lengths(paths).tolist()),
+        free_waypoints=success_rates(free, reached).waypoints,
+        all=compare(paths, reference),
+        successful=successful,
+        floor=floor,
+        modes=0 if modes is None else modes.count,
+        entropy=0.0 if modes is None else modes.entropy,
+        planning_time=plan.planning_time,
+    )
+
+
+def _cause(info: dict[str, Any]) -> str:
+    contact = " – ".join(info["collision"] or ())
+    return f"{info['failure']}: {contact}" if contact else info["failure"]
+
+
+def _executed(
+    env: gym.Env[Any, Any], scene: Scene, policy: PlannerPolicy, plan: Plan
+) -> list[tuple[int, dict[str, Any]]]:
+    """Execute every particle; return the steps and the last `info` of each."""
+    tracks = [policy.track(plan, particle) for particle in range(len(plan.trajectories))]
+    return [_follow(env, scene, track) for track in tracks]
+
+
+def _follow(env: gym.Env[Any, Any], scene: Scene, track: Track) -> tuple[int, dict[str, Any]]:
+    observation, info = env.reset(options={"scene": scene})
+    step, over = 0, False
+    while not over:
+        action = track.action(step, np.asarray(observation["observation"][6:12], np.float64))
+        observation, _, terminated, truncated, info = env.step(action)
+        step += 1
+        over = terminated or truncated
+    return step, info
+
+
+@lru_cache(maxsize=len(TASKS))
+def _environment(task: str) -> gym.Env[Any, Any]:
+    return gym.make(environment_id(task))
+
+
+@lru_cache(maxsize=len(TASKS) * len(METHODS))
+def _policy(task: str, method: str) -> PlannerPolicy:
+    """Return a policy after one unrecorded plan, so that no row times a compilation."""
+    name = method.removesuffix(_MATCHED)
+    settings: dict[str, Any] = {"particles": PARTICLES, **PRIOR}
+    if method.endswith(_MATCHED):
+        settings["per_component"] = False
+    if name == "promp":
+        # The control is to be the prior of the others.
+        settings["smooth_std"] = _prior(task).settings.smooth_std
+    policy = PlannerPolicy.make(name, task, settings=settings)
+    observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
+    with suppress(UnreachableError):
+        policy.planner.plan([policy.problem(observation)])
+    return policy
+
+
+@lru_cache(maxsize=len(TASKS))
+def _prior(task: str) -> PlannerModel:
+    """Return a planner whose mixture is what all methods of a task start from."""
+    settings = TASK_SETTINGS.get(("smp", task), {})
+    return make_planner(
+        "promp",
+        task,
+        settings=PRIOR | {name: settings[name] for name in ("smooth_std",) if name in settings},
+    )
+
+
+class _Conditioned(NamedTuple):
+    """The unadapted primitive of a task's scene: components, their shares, and what is carried."""
+
+    components: tuple[ProMP, ...]
+    shares: tuple[float, ...]
+    robot: RobotModel
+    point: FloatArray
+
+
+@lru_cache(maxsize=len(TASKS))
+def _conditioned(task: str) -> _Conditioned:
+    prior = _prior(task)
+    observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
+    problem = PlannerPolicy(prior).problem(observation)
+    robot = jaco_model(problem.attached)
+    return _Conditioned(
+        tuple(
+            tie_primitive(component, problem, robot, problem.via_points).primitive
+            for component in prior.mixture.components
+        ),
+        tuple(prior.mixture.shares.tolist()),
+        robot,
+        problem.goals[0].point,
+    )
+
+
+def _draws(task: str, count: int, number: int, samples: int) -> FloatArray:
+    """Return (count, samples, 3) m, ways of the carried point under the unadapted primitive.
+
+    Args:
+        task: name of the task.
+        count: how many draws.
+        number: of the set of draws; 0 is the reference.
+        samples: at equal steps of phase.
+    """
+    conditioned = _conditioned(task)
+    rng = np.random.default_rng([number, TASKS.index(task)])
+    ways = []
+    counts = shared_out(count, conditioned.shares)
+    for component, share in zip(conditioned.components, counts, strict=True):
+        if share:
+            latent = torch.from_numpy(rng.standard_normal((share, component.rank)))
+            trajectories = component.trajectory(component.unwhiten(latent), samples)
+            ways.append(
+                conditioned.robot.carried_points(trajectories.numpy(), conditioned.point)[0]
+            )
+    return np.concatenate(ways)
+
+
+@lru_cache(maxsize=len(TASKS))
+def _reference(task: str) -> FloatArray:
+    """Return (1000, 50, 3) m, what the trajectories of all methods are compared with."""
+    return _draws(task, REFERENCE_DRAWS, 0, COMPARED_SAMPLES)
+
+
+def _fresh(task: str, count: int, repetition: int) -> Metrics:
+    """Return the metrics of a fresh draw: the noise floor of so many trajectories."""
+    return compare(_draws(task, count, 1 + repetition, SAMPLES), _reference(task))

@@ -1,0 +1,1 @@
+"""RRT-Connect in joint space, with shortcuts."""

@@ -1,0 +1,81 @@
+"""The shortest way through layers of configurations, one of each in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.planners.rrt_connect.tree_search import rrt_connect
+
+__all__ = ["way_through"]
+
+FloatArray = NDArray[np.float64]
+
+_PREDECESSORS = 4
+"""From so many configurations of a layer, at most, a straight edge to each of the next is tried."""
+
+_ROOTS = 4
+"""From so many configurations of a layer, at most, a tree search is tried."""
+
+
+def way_through(
+    start: FloatArray,
+    layers: Sequence[FloatArray],
+    checker: EdgeChecker,
+    rng: np.random.Generator,
+    *,
+    iterations: int,
+    step: float,
+) -> list[FloatArray] | None:
+    """Return free paths from a start through one configuration of each layer, or None.
+
+    Neighbouring layers are joined by straight edges where some are free, and the shortest chain of
+    them is kept for each configuration (Viterbi 1967). Where none is, RRT-Connect joins them.
+
+    Args:
+        start: (n,) rad.
+        layers: each (C,n) rad; what is not free is passed over.
+        checker: says what is free.
+        rng: source of all randomness.
+        iterations: of a tree search, at most.
+        step: rad, longest edge of its trees.
+
+    Returns:
+        One path (V,n) rad per layer, each beginning where the one before it ends.
+    """
+    nodes, costs = start[None], np.zeros(1)
+    ways: list[list[tuple[int, FloatArray]]] = []
+    for layer in layers:
+        ahead = layer[checker.configurations_free(layer)]
+        if not len(ahead):
+            return None
+        lengths = np.linalg.norm((ahead[:, None] - nodes) / checker.robot.velocity, axis=-1)
+        totals = costs + lengths
+        previous = np.argsort(totals, axis=1)[:, :_PREDECESSORS]
+        starts = nodes[previous].reshape(-1, len(start))
+        ends = np.repeat(ahead, previous.shape[1], axis=0)
+        free = checker.edges_free(starts, ends).reshape(previous.shape)
+        joined = np.flatnonzero(free.any(axis=1))
+        if len(joined):
+            chosen = previous[joined, free[joined].argmax(axis=1)]
+            pairs = zip(chosen.tolist(), joined.tolist(), strict=True)
+            ways.append([(i, np.stack([nodes[i], ahead[j]])) for i, j in pairs])
+            nodes, costs = ahead[joined], totals[joined, chosen]
+            continue
+        for i in np.argsort(totals.min(axis=0))[:_ROOTS].tolist():
+            path = rrt_connect(nodes[i], ahead, checker, rng, iterations=iterations, step=step)
+            if path is not None:
+                break
+        else:
+            return None
+        ways.append([(i, path)])
+        nodes, costs = path[-1:], np.zeros(1)
+    index = int(costs.argmin())
+    chain: list[FloatArray] = []
+    for way in reversed(ways):
+        index, path = way[index]
+        chain.append(path)
+    return chain[::-1]

@@ -1,0 +1,337 @@
+"""`rrt_connect`: RRT-Connect in joint space, with shortcuts and smoothing. The sampling baseline.
+
+What one would take who has no demonstrations to keep to: they only lend the postures in which a
+place is reached. Randomness comes from the problem's seed and budgets are counts, so a plan depends
+neither on the machine nor on what was planned before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.interpolate import CubicSpline
+
+from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
+from smp_planner.collision.edge_check import EdgeChecker
+from smp_planner.collision.robot_model import RobotModel
+from smp_planner.collision.verification import TOLERANCE, minimum_duration
+from smp_planner.movement_primitives import phases
+from smp_planner.planners.base import (
+    SAMPLES,
+    PlannerModel,
+    PlannerSettings,
+    Stopwatch,
+    jaco_with,
+)
+from smp_planner.planners.judging import missed_via_points
+from smp_planner.planners.rrt_connect.layered_search import way_through
+from smp_planner.planners.rrt_connect.postures import pose_chain, reaching
+from smp_planner.planners.rrt_connect.shortcutting import (
+    path_length,
+    shortcut,
+    smooth,
+    stop_at_corners,
+)
+from smp_planner.planners.rrt_connect.tree_search import rrt_connect
+from smp_planner.planners.tying import TiedPrimitive
+from smp_planner.planning.problem import GoalRegion, Plan, Problem, ViaPoint, ViaPose
+
+__all__ = ["RRTConnectPlanner", "RRTConnectSettings"]
+
+FloatArray = NDArray[np.float64]
+
+_CONTROL_POINTS = (7, 10, 14, 20, 28, 40, 56, 80)
+"""Of the splines that are tried, from smooth to true to the path."""
+
+_LIFT_OFF = 0.03
+"""Metres by which the hand goes straight up with what it has grasped."""
+
+
+class RRTConnectSettings(PlannerSettings):
+    """Settings of RRT-Connect.
+
+    Attributes:
+        particles: P, size of the set: so many searches, each with randomness of its own.
+        margin: m, distance to keep to obstacles.
+        iterations: of a search, at most.
+        step: rad, longest edge of the trees.
+        postures: how many configurations are tried for each goal or via-point.
+        posture_spread: rad, how far around the demonstrations' last configurations goal
+            configurations are sought.
+        branches: how many ways to take the via-poses are tried.
+        shortcuts: iterations of shortcutting.
+    """
+
+    particles: int = Field(default=4, ge=1)
+    margin: float = Field(default=0.005, ge=TOLERANCE, allow_inf_nan=False)
+    iterations: int = Field(default=5_000, ge=1)
+    step: float = Field(default=0.5, gt=0.0, allow_inf_nan=False)
+    postures: int = Field(default=64, ge=1)
+    posture_spread: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
+    branches: int = Field(default=8, ge=1)
+    shortcuts: int = Field(default=100, ge=0)
+
+
+def _timed(
+    path: FloatArray,
+    samples: int,
+    checker: EdgeChecker,
+    seconds: float,
+    passes: Callable[[FloatArray], bool] = lambda _: True,
+) -> FloatArray:
+    """Return the smoothest trajectory (T,n) along a path that is free, in time, and passes a test.
+
+    Where none is in time, the fastest. The path itself is free, so that there always is a
+    trajectory: in the worst case it stops at each corner.
+    """
+    velocity = checker.robot.velocity
+    best: tuple[float, FloatArray] | None = None
+    for points in _CONTROL_POINTS:
+        spline = smooth(path, velocity, points, samples)
+        if not (checker.edges_free(spline[:-1], spline[1:]).all() and passes(spline)):
+            continue
+        duration = float(minimum_duration(spline[None], velocity)[0])
+        if duration <= seconds:
+            return spline
+        if best is None or duration < best[0]:
+            best = duration, spline
+    return stop_at_corners(path, velocity, samples) if best is None else best[1]
+
+
+def _via_region(via: ViaPoint) -> GoalRegion:
+    """Return the largest cube within the ball in which a via-point is passed."""
+    half = via.tolerance / np.sqrt(3.0)
+    return GoalRegion(via.point, via.position - half, via.position + half)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """One problem and all that the search for its trajectories shares.
+
+    Attributes:
+        problem: to be solved.
+        robot: the arm with all that it carries.
+        tied: the primitive, conditioned.
+        postures: (N,6) rad, around which configurations that reach a goal are sought.
+        settings: budgets.
+    """
+
+    problem: Problem
+    robot: RobotModel
+    tied: TiedPrimitive
+    postures: FloatArray
+    settings: RRTConnectSettings
+
+    def goals(self, near: FloatArray) -> FloatArray:
+        """Return configurations (G,6) rad at the goals, not checked for collisions."""
+        s = self.settings
+        rng = np.random.default_rng([self.problem.seed, 1])
+        seeds = self.postures[rng.integers(len(self.postures), size=s.postures)]
+        seeds = seeds + s.posture_spread * rng.standard_normal(seeds.shape)
+        return reaching(self.problem.goals, self.robot, seeds, near, rng)
+
+    def layers(self) -> list[FloatArray]:
+        """Return configurations (C,6) rad at each via-point in turn, and at last at the goals.
+
+        Each is sought from where the draws of the primitive are when the via-point is due, so that
+        what follows upon each other is near in posture, too.
+        """
+        via_points, primitive = self.problem.via_points, self.tied.primitive
+        rng = np.random.default_rng([self.problem.seed, 1])
+        latent = rng.standard_normal((self.settings.postures, primitive.rank))
+        weights = primitive.unwhiten(torch.from_numpy(latent))
+        weights = weights.reshape(-1, primitive.basis.count, primitive.dimension)
+        due = torch.tensor([*(via.phase for via in via_points), 1.0], dtype=weights.dtype)
+        draws = (primitive.basis.values(due) @ weights).numpy().swapaxes(0, 1)
+        regions = [*((_via_region(via),) for via in via_points), self.problem.goals]
+        return [
+            reaching(region, self.robot, seeds, seeds[0], rng)
+            for region, seeds in zip(regions, draws, strict=True)
+        ]
+
+    def checker(
+        self, ends: Sequence[FloatArray], first: float = 0.0, last: float = 1.0
+    ) -> EdgeChecker:
+        """Return what is free in a stretch of the phase.
+
+        Args:
+            ends: of each layer (C,6) rad one configuration should keep the margin; where all of one
+                are nearer to something than that, the least margin is taken.
+            first: phase at which the stretch begins.
+            last: phase at which it ends.
+        """
+        stages = [s for s in self.problem.stages if s.first < last and s.last > first]
+        for margin in (self.settings.margin, TOLERANCE):
+            checker = (
+                EdgeChecker.of_stages(stages, margin)
+                if stages
+                else EdgeChecker(self.robot, self.problem.obstacles, margin)
+            )
+            if all(checker.configurations_free(layer).any() for layer in ends):
+                break
+        return checker
+
+    def path(
+        self, start: FloatArray, goals: FloatArray, checker: EdgeChecker, rng: np.random.Generator
+    ) -> FloatArray | None:
+        """Return a short free path (V,6) rad from a configuration to one of several, or None."""
+        s = self.settings
+        path = rrt_connect(start, goals, checker, rng, iterations=s.iterations, step=s.step)
+        return None if path is None else shortcut(path, checker, s.shortcuts, rng)
+
+    def passes(self, trajectory: FloatArray) -> bool:
+        """Return whether a trajectory (T,6) rad passes all via-points."""
+        return bool(missed_via_points(self.problem, self.robot, trajectory[None])[0] <= 0.0)
+
+    def direct(self, goals: FloatArray, rng: np.random.Generator) -> FloatArray | None:
+        """Return a trajectory (T,6) rad from the start to a goal, or None."""
+        start = self.problem.start
+        checker = self.checker([start[None], goals])
+        path = self.path(start, goals, checker, rng)
+        if path is None:
+            return None
+        return _timed(path, SAMPLES, checker, self.settings.duration_limit)
+
+    def through(self, layers: Sequence[FloatArray], rng: np.random.Generator) -> FloatArray | None:
+        """Return a trajectory (T,6) rad from the start through all layers, or None."""
+        s, start = self.settings, self.problem.start
+        checker = self.checker([start[None], *layers])
+        # Each search has its own half of the configurations, so that not all find the same way.
+        halves = [layer[rng.permutation(len(layer))[: (len(layer) + 1) // 2]] for layer in layers]
+        way = way_through(start, halves, checker, rng, iterations=s.iterations, step=s.step)
+        if way is None:
+            return None
+        pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in way]
+        path = np.concatenate([start[None], *(piece[1:] for piece in pieces)])
+        return _timed(path, SAMPLES, checker, s.duration_limit, self.passes)
+
+    def branches(self, rng: np.random.Generator) -> Iterator[FloatArray]:
+        """Yield ways (H,6) rad to take the via-poses that are free from one to the next.
+
+        First that nearest to what the primitive expects, then those nearest to random ones.
+        """
+        via_poses = self.problem.via_poses
+        expected = self.tied.primitive.marginal(via_poses[-1].phase)[0].numpy()
+        checker = self.checker((), via_poses[0].phase, via_poses[-1].phase)
+        for attempt in range(self.settings.branches):
+            turn = rng.uniform(-np.pi, np.pi, self.robot.joints) if attempt else 0.0
+            try:
+                chain = pose_chain(via_poses, expected + turn)
+            except UnreachableError:
+                continue
+            if checker.edges_free(chain[:-1], chain[1:]).all():
+                yield chain
+
+    def by_poses(self, rng: np.random.Generator) -> FloatArray | None:
+        """Return a trajectory (T,6) rad that takes the via-poses on the way to a goal, or None."""
+        for chain in self.branches(rng):
+            trajectory = self.along(chain, rng)
+            if trajectory is not None:
+                return trajectory
+        return None
+
+    def along(self, chain: FloatArray, rng: np.random.Generator) -> FloatArray | None:
+        """Return a trajectory (T,6) rad that takes the via-poses in one way (H,6), or None."""
+        problem, limit = self.problem, self.settings.duration_limit
+        first, last = problem.via_poses[0].phase, problem.via_poses[-1].phase
+        before, after = round(first * (SAMPLES - 1)), round(last * (SAMPLES - 1))
+        approach = self.checker([problem.start[None], chain[:1]], 0.0, first)
+        there = self.path(problem.start, chain[:1], approach, rng)
+        lifted = _lifted(chain[-1])
+        if there is None or lifted is None:
+            return None
+        goals = self.goals(lifted)
+        clear = EdgeChecker(self.robot, problem.obstacles)
+        carry = self.checker([chain[-1:], lifted[None], goals], last, 1.0)
+        away = self.path(lifted, goals, clear, rng)
+        if away is None:
+            return None
+        away = np.concatenate([chain[-1:], away])
+        return np.concatenate(
+            [
+                _timed(there, before + 1, approach, limit * first)[:-1],
+                _followed(chain, problem.via_poses, after - before + 1)[:-1],
+                _timed(away, SAMPLES - after, carry, limit * (1.0 - last)),
+            ]
+        )
+
+
+def _lifted(configuration: FloatArray) -> FloatArray | None:
+    """Return the configuration (6,) rad with the hand straight above that of another, or None."""
+    pose = end_effector_pose(configuration)
+    try:
+        raised = pose[:3, 3] + np.array([0.0, 0.0, _LIFT_OFF])
+        return inverse_kinematics(raised, pose[:3, :3], seed=configuration)
+    except UnreachableError:
+        return None
+
+
+def _followed(chain: FloatArray, via_poses: Sequence[ViaPose], samples: int) -> FloatArray:
+    """Return a trajectory (T,6) rad, from rest to rest, with a chain (H,6) at its via-poses."""
+    due = np.array([via.phase for via in via_poses])
+    spline = CubicSpline(due, chain, bc_type="clamped")
+    return np.asarray(spline(np.linspace(due[0], due[-1], samples)))
+
+
+class RRTConnectPlanner(PlannerModel):
+    """Independent RRT-Connect solutions, shortened and smoothed.
+
+    Via-points are passed through configurations found by inverse kinematics, joined by straight
+    edges or, where none is free, by a search. Where a problem has via-poses, the stretch between
+    the first and the last of them is followed as posed, and the ways to and from it are searched.
+
+    The demonstrations lend the postures and, for the plan's `weights` and its cost `prior`, the
+    primitive: the weights of a particle are those whose trajectory is nearest to its own in the
+    sense of least squares. What is verified and executed is the trajectory itself.
+    """
+
+    name = "rrt_connect"
+    Settings = RRTConnectSettings
+    settings: RRTConnectSettings
+
+    def _plan(self, problem: Problem) -> Plan:
+        stopwatch = Stopwatch()
+        with stopwatch.stage("conditioning"):
+            robot = jaco_with(problem)
+            tied = self.tie(problem, robot, through=problem.via_points)
+        with stopwatch.stage("goals"):
+            postures = np.array([path[-1] for path in self.demonstrations.configurations])
+            search = _Search(problem, robot, tied, postures, self.settings)
+            goals = search.goals(problem.start)
+            layers = search.layers() if problem.via_points else []
+        with stopwatch.stage("search"):
+            found = []
+            for index in range(self.settings.particles):
+                rng = np.random.default_rng([problem.seed, 2, index])
+                if problem.via_poses:
+                    found.append(search.by_poses(rng))
+                elif problem.via_points:
+                    found.append(search.through(layers, rng))
+                else:
+                    found.append(search.direct(goals, rng))
+        with stopwatch.stage("verification"):
+            # Where no path was found a straight one stands, so that the set has its size.
+            end = goals[0] if len(goals) else tied.posture
+            straight = stop_at_corners(np.stack([problem.start, end]), robot.velocity, SAMPLES)
+            trajectories = np.stack([straight if path is None else path for path in found])
+            basis = tied.primitive.basis.values(phases(SAMPLES))
+            weights = torch.linalg.pinv(basis) @ torch.from_numpy(trajectories)
+            latent = tied.primitive.whiten(weights.flatten(-2))
+            costs = {
+                "prior": 0.5 * latent.square().sum(-1).numpy(),
+                "length": np.array([path_length(path) for path in trajectories]),
+            }
+        free = search.checker([problem.start[None], goals]).configurations_free(goals)
+        reason = (
+            f"{sum(path is not None for path in found)} of {self.settings.particles} searches "
+            f"succeeded within {self.settings.iterations} iterations, {int(free.sum())} of "
+            f"{self.settings.postures} configurations at the goal are free"
+        )
+        return self.judge(
+            problem, robot, trajectories, weights.numpy(), costs, stopwatch, reason=reason
+        )

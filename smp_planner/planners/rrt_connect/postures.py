@@ -1,0 +1,105 @@
+"""Configurations that bring the hand where a problem demands it, found by inverse kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from smp_gym.robot.kinematics import inverse_kinematics
+from smp_planner.collision.robot_model import RobotModel
+from smp_planner.planning.problem import GoalRegion, ViaPose
+
+__all__ = ["pose_chain", "reaching"]
+
+FloatArray = NDArray[np.float64]
+
+_ITERATIONS = 30
+_LARGEST_STEP = 0.3
+_DAMPING = 1e-6
+_REACHED = 1e-3
+"""Metres up to which a point is taken to be where it should."""
+
+
+def reaching(
+    regions: Sequence[GoalRegion],
+    robot: RobotModel,
+    seeds: ArrayLike,
+    near: ArrayLike,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return configurations that reach one of several regions.
+
+    Damped least squares from given configurations to random points of the inner half of the
+    regions, which take turns; what orientation the hand keeps is left to the seeds.
+
+    Args:
+        regions: at least one.
+        robot: the arm.
+        seeds: (N,n) rad, from each of which one configuration is sought.
+        near: (n,) rad; endless joints are turned to be within half a turn of it.
+        rng: source of all randomness.
+
+    Returns:
+        (G,n) rad, G at most N, within the joint limits, in the order of the seeds, not checked for
+        collisions; possibly none.
+
+    Raises:
+        ValueError: `seeds` has the wrong shape or is not finite.
+    """
+    q, close = np.array(seeds, np.float64), np.asarray(near, np.float64)
+    if q.ndim != 2 or q.shape[1] != robot.joints or not len(q):
+        raise ValueError(f"seeds must have shape (N, {robot.joints}), got {q.shape}")
+    if not np.isfinite(q).all():
+        raise ValueError("seeds must be finite, got NaN or infinity")
+    of_region = np.arange(len(q)) % len(regions)
+    inner = 0.25 + 0.5 * rng.random((len(q), 3))
+    error = np.full(len(q), np.inf)
+    for index, region in enumerate(regions[: len(q)]):
+        mine = of_region == index
+        target = region.lower + inner[mine] * (region.upper - region.lower)
+        q[mine], error[mine] = _moved(robot, q[mine], region.point, target)
+    turns = np.where(robot.endless, np.round((q - close) / (2 * np.pi)), 0.0)
+    turned = q - 2 * np.pi * turns
+    within = (turned >= robot.lower) & (turned <= robot.upper)
+    return np.where(within, turned, q)[error < _REACHED]
+
+
+def _moved(
+    robot: RobotModel, q: FloatArray, point: FloatArray, target: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return configurations (N,n) that carry a point to (N,3) m, and by how much they fail."""
+    for _ in range(_ITERATIONS):
+        here, jacobian = robot.carried_points(q, point)
+        offset = target - here
+        transposed = jacobian.swapaxes(1, 2)
+        square = jacobian @ transposed + _DAMPING * np.eye(3)
+        change = (transposed @ np.linalg.solve(square, offset[..., None]))[..., 0]
+        largest = np.abs(change).max(axis=1, keepdims=True)
+        change *= np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))
+        q = np.clip(q + change, robot.lower, robot.upper)
+        if largest.max() < 1e-6:
+            break
+    return q, np.linalg.norm(target - robot.carried_points(q, point)[0], axis=1)
+
+
+def pose_chain(via_poses: Sequence[ViaPose], near: ArrayLike) -> FloatArray:
+    """Return configurations (H,6) rad that take via-poses one after the other.
+
+    A pose leaves an arm of six joints no freedom but the choice of a branch: that nearest to a
+    given configuration is taken, and kept.
+
+    Args:
+        via_poses: H of them, at least one.
+        near: (6,) rad, about where the last via-pose is taken.
+
+    Raises:
+        UnreachableError: a via-pose is out of reach.
+    """
+    chain = []
+    # The last one first: the arm is stretched there, and away from its joint limits.
+    for via in reversed(via_poses):
+        near = inverse_kinematics(via.pose[:3, 3], via.pose[:3, :3], seed=near)
+        chain.append(near)
+    return np.array(chain[::-1])

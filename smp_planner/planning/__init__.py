@@ -1,0 +1,1 @@
+"""The planning pipeline: from a problem to a plan."""

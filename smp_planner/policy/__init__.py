@@ -1,0 +1,1 @@
+"""Planners as policies: observations to problems, plans to actions."""

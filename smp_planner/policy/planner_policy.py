@@ -1,0 +1,245 @@
+"""`PlannerPolicy`: any planner as a policy with the interface of a stable-baselines3 agent.
+
+The policy plans when an episode begins and then executes one trajectory of the plan. All it knows
+of the world it reads from the observation, so it runs wherever an agent runs: behind wrappers, in
+`DummyVecEnv` and `SubprocVecEnv`, in `evaluate_policy` and `EvalCallback`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.observation import DecodedObservation, decode, observation_space
+from smp_planner.planners import PlannerModel, make_planner
+from smp_planner.planning.problem import Plan, Problem
+from smp_planner.policy.grasping import learn_grasping
+from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
+from smp_planner.policy.policy_file import read_policy, write_policy
+from smp_planner.policy.tracking import GripperEvent, Track, gripper_event
+
+__all__ = ["Execution", "PlannerPolicy"]
+
+Actions = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Execution:
+    """What the policy remembers of one episode.
+
+    Attributes:
+        plan: the plan that was made.
+        particle: which of its particles is executed.
+        track: that particle's trajectory on its way.
+        digest: fingerprint of the observation that was planned from.
+    """
+
+    plan: Plan
+    particle: int
+    track: Track
+    digest: int
+
+
+class PlannerPolicy:
+    """A planner that acts.
+
+    Its actions are joint velocities: observations of an environment that takes actions for
+    something else (``control="end_effector"``) are refused.
+
+    Args:
+        planner: what plans; made by `smp_planner.planners.make_planner`.
+        seed: from which, together with an episode's first observation, all randomness is drawn.
+            Neither the order of calls nor what was played before matters.
+    """
+
+    def __init__(self, planner: PlannerModel, seed: int = 0) -> None:
+        self.planner = planner
+        self.task = planner.demonstrations.task
+        self.observation_space: spaces.Dict = observation_space(self.task)
+        self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
+        self._event: GripperEvent | None = gripper_event(planner.demonstrations.gripper)
+        self._grasping = learn_grasping(planner.demonstrations)
+        drawing = planner.demonstrations.scenes[0].goals[0].kind == "stroke"
+        self._phases = checkpoint_phases(planner.demonstrations) if drawing else None
+        self.set_random_seed(seed)
+
+    @classmethod
+    def make(
+        cls,
+        method: str,
+        task: str | None = None,
+        *,
+        demonstrations: Demonstrations | None = None,
+        settings: Mapping[str, Any] | None = None,
+        seed: int = 0,
+    ) -> PlannerPolicy:
+        """Return a policy by the name of its method.
+
+        Args:
+            method: one of `smp_planner.planners.PLANNERS`.
+            task: whose shipped demonstrations to learn from; or give `demonstrations`.
+            demonstrations: what to learn from, in place of the shipped ones.
+            settings: settings of the method by name.
+            seed: see the class.
+
+        Raises:
+            ValueError: unknown method, task or setting; the message lists what exists.
+        """
+        planner = make_planner(method, task, demonstrations=demonstrations, settings=settings)
+        return cls(planner, seed)
+
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """Set the policy's seed; None means 0."""
+        if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
+            raise ValueError(f"seed must be a non-negative integer, got {seed!r}")
+        self.seed = int(seed or 0)
+
+    def predict(
+        self,
+        observation: Mapping[str, NDArray[Any]] | NDArray[Any],
+        state: Sequence[Execution | None] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[Actions, tuple[Execution, ...]]:
+        """Return actions, and the state to hand back with the next observation.
+
+        A plan is made when an observation says that nothing of its episode has elapsed, or when
+        there is no state. `episode_start` does not decide: `evaluate_policy` leaves it True for
+        environments that have played their share.
+
+        Args:
+            observation: one observation or a batch of E, as dict or flattened.
+            state: what the last call returned, or None.
+            episode_start: accepted for the interface, unused.
+            deterministic: True executes the best particle, False draws one of the collision-free
+                and executable ones.
+
+        Returns:
+            Actions (7,) or (E, 7), and one `Execution` per environment.
+
+        Raises:
+            ValueError: the observation is not from an environment of this task, or from one of
+                another control mode, or a goal in it is out of reach.
+        """
+        rows, batched = self._rows(observation)
+        if state is not None and len(state) != len(rows):
+            raise ValueError(
+                f"state must have one entry for each of {len(rows)} observations, got {len(state)}"
+            )
+        decoded = [self._decoded(row) for row in rows]
+        executions: list[Execution | None] = [None] * len(rows) if state is None else list(state)
+        digests = {
+            i: self._digest(rows[i])
+            for i in range(len(rows))
+            if executions[i] is None or decoded[i].elapsed_steps == 0
+        }
+        due = [
+            i
+            for i, digest in digests.items()
+            if executions[i] is None or executions[i].digest != digest  # type: ignore[union-attr]
+        ]
+        problems = [self._problem(decoded[i], digests[i]) for i in due]
+        for i, problem, plan in zip(due, problems, self.planner.plan(problems), strict=True):
+            executions[i] = self._execution(plan, problem, decoded[i], deterministic)
+        ready = tuple(e for e in executions if e is not None)
+        actions = np.stack(
+            [
+                execution.track.action(row.elapsed_steps, row.robot.reference)
+                for execution, row in zip(ready, decoded, strict=True)
+            ]
+        )
+        return (actions if batched else actions[0]), ready
+
+    def problem(self, observation: Mapping[str, NDArray[Any]] | NDArray[Any]) -> Problem:
+        """Return the problem that one observation poses, as `predict` hands it to the planner.
+
+        Args:
+            observation: as dict or flattened, not a batch.
+
+        Raises:
+            ValueError: the observation is not from an environment of this task, from one of
+                another control mode, or a batch.
+        """
+        rows, batched = self._rows(observation)
+        if batched:
+            raise ValueError(f"observation must be one, got a batch of {len(rows)}")
+        return self._problem(self._decoded(rows[0]), self._digest(rows[0]))
+
+    def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
+        return problem_from(decoded, digest, self._phases, grasping=self._grasping)
+
+    def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
+        """Return one particle of a plan on its way, as the policy would execute it.
+
+        Args:
+            plan: of this policy's planner.
+            particle: index of the particle.
+            first_step: environment step at which execution begins.
+        """
+        return Track(
+            trajectory=plan.trajectories[particle],
+            duration=float(plan.duration[particle]),
+            event=self._event,
+            first_step=first_step,
+        )
+
+    def _rows(self, observation: Any) -> tuple[list[Any], bool]:
+        """Split a batch into single observations."""
+        if isinstance(observation, Mapping):
+            arrays = {key: np.asarray(value) for key, value in observation.items()}
+            dimensions = {array.ndim for array in arrays.values()}
+            if dimensions == {2} and len({len(array) for array in arrays.values()}) == 1:
+                count = len(next(iter(arrays.values())))
+                return [{k: a[i] for k, a in arrays.items()} for i in range(count)], True
+            return [arrays], False
+        array = np.asarray(observation)
+        return (list(array), True) if array.ndim == 2 else ([array], False)
+
+    def _decoded(self, row: Any) -> DecodedObservation:
+        decoded = decode(row, self.task)
+        if decoded.control != "joint_velocity":
+            raise ValueError(
+                f"the observation is from an environment with control={decoded.control!r}: a "
+                "planner acts in joint velocities, make the environment with "
+                "control='joint_velocity'"
+            )
+        return decoded
+
+    def _digest(self, row: Any) -> int:
+        """Return a fingerprint of observation and seed, the same for raw and flattened."""
+        flat = spaces.flatten(self.observation_space, row) if isinstance(row, Mapping) else row
+        content = np.ascontiguousarray(flat, np.float32).tobytes()
+        seed = self.seed.to_bytes(8, "little", signed=False)
+        return int.from_bytes(hashlib.blake2b(content + seed, digest_size=8).digest(), "little")
+
+    def _execution(
+        self, plan: Plan, problem: Problem, decoded: DecodedObservation, deterministic: bool
+    ) -> Execution:
+        particle = plan.chosen
+        candidates = np.flatnonzero(plan.good if plan.good.any() else plan.collision_free)
+        if not deterministic and len(candidates):
+            particle = int(np.random.default_rng([problem.seed, 1]).choice(candidates))
+        track = self.track(plan, particle, decoded.elapsed_steps)
+        return Execution(plan, particle, track, problem.seed)
+
+    def save(self, path: str | Path) -> None:
+        """Write method, settings, demonstrations and seed to one file, without pickle."""
+        write_policy(Path(path), self.planner, self.seed)
+
+    @classmethod
+    def load(cls, path: str | Path) -> PlannerPolicy:
+        """Read what `save` wrote; runs no code from the file.
+
+        Raises:
+            ValueError: the file is damaged, not a policy, or of another version.
+        """
+        planner, seed = read_policy(Path(path))
+        return cls(planner, seed)

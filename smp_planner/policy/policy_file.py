@@ -1,0 +1,67 @@
+"""The file format of a saved policy: a zip of a JSON header and the demonstrations; runs no code.
+
+The header names format, version, method, settings and seed; the demonstrations follow as the file
+that `Demonstrations.save` writes. The primitive is fitted again on loading, which takes
+milliseconds and keeps file and code from drifting apart.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_planner.planners import PlannerModel, make_planner
+
+__all__ = ["FORMAT", "VERSION", "read_policy", "write_policy"]
+
+FORMAT = "smp_planner.policy.planner_policy"
+VERSION = 1
+
+_HEADER = "policy.json"
+_DEMONSTRATIONS = "demonstrations.npz"
+
+
+def write_policy(path: Path, planner: PlannerModel, seed: int) -> None:
+    """Write a policy; an existing file is replaced only once the new one is complete."""
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": planner.name,
+        "settings": planner.settings.model_dump(mode="json"),
+        "seed": seed,
+    }
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        learned_from = Path(folder) / _DEMONSTRATIONS
+        planner.demonstrations.save(learned_from)
+        complete = Path(folder) / "policy.zip"
+        with zipfile.ZipFile(complete, "w") as archive:
+            archive.writestr(_HEADER, json.dumps(header, indent=1))
+            archive.write(learned_from, _DEMONSTRATIONS)
+        os.replace(complete, path)
+
+
+def read_policy(path: Path) -> tuple[PlannerModel, int]:
+    """Return planner and seed of a saved policy.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: damaged, not a policy, or of another version.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+            header = json.loads(archive.read(_HEADER))
+            demonstrations = Demonstrations.load(archive.extract(_DEMONSTRATIONS, folder))
+    except (zipfile.BadZipFile, KeyError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is not a saved policy or is damaged: {error}") from error
+    expected = {"format": FORMAT, "version": VERSION}
+    found = {name: header.get(name) for name in expected} if isinstance(header, dict) else header
+    if found != expected:
+        raise ValueError(f"{path} must be a saved policy {expected}, got {found}")
+    planner = make_planner(
+        header["method"], demonstrations=demonstrations, settings=header["settings"]
+    )
+    return planner, int(header["seed"])
