@@ -1,22 +1,65 @@
-"""How a primitive is adapted to what it has not seen: Stein's way, and the paper's baselines.
+"""How a primitive is adapted to what it has not seen: SVGD, and the paper's baselines.
 
-These know trajectories and their costs only, no arm and no scene.
+An adaptation is a function and its settings, data. It knows trajectories and their costs only, no
+arm and no scene.
 """
 
-from smp_planner.adaptation.flow import Flow
-from smp_planner.adaptation.gaussian import GaussianAdaptation
-from smp_planner.adaptation.optimised_mean import OptimisedMean
-from smp_planner.adaptation.stein import Stein
-from smp_planner.adaptation.target import Adaptation, Good, Target
-from smp_planner.adaptation.variational import GaussianVI
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from pydantic import BaseModel
+
+from smp_planner.adaptation.flow import FlowSettings, flow
+from smp_planner.adaptation.optimised_mean import OptimisedMeanSettings, optimised_mean
+from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, Target
+from smp_planner.adaptation.stein import SteinSettings, stein
+from smp_planner.adaptation.variational import VariationalSettings, gaussian_vi
 
 __all__ = [
+    "ADAPTATIONS",
+    "Adapt",
     "Adaptation",
-    "Flow",
-    "GaussianAdaptation",
-    "GaussianVI",
+    "FlowSettings",
     "Good",
-    "OptimisedMean",
-    "Stein",
+    "OptimisedMeanSettings",
+    "Runs",
+    "SceneCosts",
+    "SteinSettings",
     "Target",
+    "Unadapted",
+    "VariationalSettings",
 ]
+
+
+class Unadapted(BaseModel, frozen=True, extra="forbid"):
+    """Settings of what is conditioned only: there are none."""
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """A function with its settings.
+
+    Attributes:
+        settings: of the function.
+        adapt: carries draws of the prior to a target; None leaves the conditioned draws as they
+            are.
+    """
+
+    settings: BaseModel
+    adapt: Adapt | None
+
+
+ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
+    {
+        "smp": Adaptation(SteinSettings(), stein),
+        "promp": Adaptation(Unadapted(), None),
+        "cpromp": Adaptation(VariationalSettings(), gaussian_vi),
+        "prompt_o": Adaptation(OptimisedMeanSettings(), optimised_mean),
+        "promp_diff": Adaptation(FlowSettings(), flow),
+    }
+)
+"""By name of the method, with default settings: Stein Movement Primitives, conditioning alone
+(Sec. III-A), and the paper's baselines CProMPs, ProMPT-O and ProMPs-Diff."""

@@ -7,27 +7,21 @@ import math
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from smp_planner.adaptation.gaussian import GaussianAdaptation
-from smp_planner.adaptation.target import Target
+from smp_planner.adaptation.gaussian import one_gaussian
+from smp_planner.adaptation.runs import SceneCosts
 from smp_planner.collision.costs import REFERENCE_STEPS
 from smp_planner.movement_primitives import ProMP, phases
 
-__all__ = ["Flow"]
+__all__ = ["FlowSettings", "flow"]
 
 FloatArray = NDArray[np.float64]
 
 
-class Flow(GaussianAdaptation):
-    """A Gaussian whose mean left the obstacles along a flow, and whose covariance is the prior's.
-
-    Each waypoint y of the mean path follows dy/ds = -b(t) ∇f_map(y), which is a diffeomorphism of
-    the configurations as long as the flow is followed in short steps; f_map is the squared
-    occupancy of all spheres, Eq. (12). b is zero at what is pinned: both ends, and what must be
-    passed. The path is then fitted by weights, by least squares with the prior as regulariser:
-    without it, a path that the flow tore has weights far from all that was demonstrated.
+class FlowSettings(BaseModel):
+    """Settings of ProMPs-Diff.
 
     Attributes:
         iterations: steps in which the flow is followed.
@@ -39,28 +33,43 @@ class Flow(GaussianAdaptation):
         taper: phase from a pinned one over which the flow rises to its full strength.
     """
 
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
     iterations: int = Field(default=100, ge=1)
     flow_time: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
     longest_move: float = Field(default=0.02, gt=0.0, allow_inf_nan=False)
     fit_std: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
     taper: float = Field(default=0.15, gt=0.0, le=0.5)
 
-    def adapt_gaussian(
-        self, primitive: ProMP, target: Target, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Return the weights of the path that the flow leads to, and the prior's factor."""
-        at = phases(target.steps)
-        strength = _strength(at.numpy(), target.pins, self.taper)
-        path = primitive.trajectory(primitive.mean, at).numpy()
-        for iteration in range(self.iterations):
-            progress = iteration / max(self.iterations - 1, 1)
-            slope = target.obstacle_gradient(path[None], progress)[0]
-            velocity = -strength[:, None] * slope
-            fastest = np.abs(velocity).max()
-            path = path + min(self.flow_time, self.longest_move / max(fastest, 1e-12)) * velocity
-        return _fitted(primitive, torch.from_numpy(path), self.fit_std), torch.eye(
-            primitive.rank, dtype=torch.float64
-        )
+
+@one_gaussian
+def flow(
+    primitive: ProMP,
+    scene: SceneCosts,
+    rng: np.random.Generator,
+    settings: FlowSettings,
+) -> tuple[Tensor, Tensor]:
+    """Return a Gaussian whose mean left the obstacles along a flow, with the prior's covariance.
+
+    Each waypoint y of the mean path follows dy/ds = -b(t) ∇f_map(y), which is a diffeomorphism of
+    the configurations as long as the flow is followed in short steps; f_map is the squared
+    occupancy of all spheres, Eq. (12). b is zero at what is pinned: both ends, and what must be
+    passed. The path is then fitted by weights, by least squares with the prior as regulariser:
+    without it, a path that the flow tore has weights far from all that was demonstrated.
+    """
+    at = phases(scene.steps)
+    strength = _strength(at.numpy(), scene.pins, settings.taper)
+    path = primitive.trajectory(primitive.mean, at).numpy()
+    for iteration in range(settings.iterations):
+        progress = iteration / max(settings.iterations - 1, 1)
+        slope = scene.obstacle_gradient(path[None], progress)[0]
+        velocity = -strength[:, None] * slope
+        fastest = np.abs(velocity).max()
+        longest = settings.longest_move / max(fastest, 1e-12)
+        path = path + min(settings.flow_time, longest) * velocity
+    return _fitted(primitive, torch.from_numpy(path), settings.fit_std), torch.eye(
+        primitive.rank, dtype=torch.float64
+    )
 
 
 def _strength(at: FloatArray, pins: FloatArray, taper: float) -> FloatArray:

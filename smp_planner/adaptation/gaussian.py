@@ -1,46 +1,46 @@
-"""What the paper's baselines share: adapt as they may, they keep one Gaussian over the weights."""
+"""Adaptations that keep one Gaussian over the weights, as the paper's baselines do."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from smp_planner.adaptation.target import Adaptation, Good, Target
+from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, Target
 from smp_planner.movement_primitives import ProMP
 
-__all__ = ["GaussianAdaptation"]
+__all__ = ["AdaptGaussian", "one_gaussian"]
+
+AdaptGaussian = Callable[[ProMP, SceneCosts, np.random.Generator, Any], tuple[Tensor, Tensor]]
+"""From a prior, its scene, a generator and settings to mean (r,) and factor (r, r) of a Gaussian in
+the prior's whitened coordinates, where the prior is N(0, I)."""
 
 
-class GaussianAdaptation(Adaptation):
-    """Carries draws of the prior to a Gaussian that was adapted to the target.
+def one_gaussian(adapt_gaussian: AdaptGaussian) -> Adapt:
+    """Return the adaptation that carries draws of the prior to an adapted Gaussian, run by run.
 
     One that leaves the Gaussian as it was ends with the draws that it began with.
     """
 
+    @wraps(adapt_gaussian)
     def adapt(
-        self,
-        primitive: ProMP,
+        runs: Runs,
         latent: Tensor,
         target: Target,
-        rng: np.random.Generator,
-        good: Good | None = None,
+        rngs: Sequence[np.random.Generator],
+        settings: Any,
+        good: Good,
     ) -> Tensor:
-        """Return the draws, carried to the adapted Gaussian; `good` is not asked."""
-        mean, factor = self.adapt_gaussian(primitive, target, rng)
-        return mean + latent @ factor.mT
+        carried = []
+        for primitive, scene, rng, drawn in zip(
+            runs.primitives, target.scenes, rngs, latent, strict=True
+        ):
+            mean, factor = adapt_gaussian(primitive, scene, rng, settings)
+            carried.append(mean + drawn @ factor.mT)
+        return torch.stack(carried)
 
-    @abstractmethod
-    def adapt_gaussian(
-        self, primitive: ProMP, target: Target, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Return mean (r,) and factor (r, r) of the Gaussian, in whitened coordinates.
-
-        There the prior is N(0, I).
-
-        Args:
-            primitive: the prior, conditioned on what is certain.
-            target: what is wanted beside being likely under the prior.
-            rng: source of all randomness.
-        """
+    return adapt

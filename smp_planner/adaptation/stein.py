@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
-from pydantic import Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 from torch import Tensor
 
-from smp_planner.adaptation.target import Adaptation, Good, Target
+from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
-from smp_planner.movement_primitives import ProMP, phases
 
-__all__ = ["Stein"]
+__all__ = ["SteinSettings", "stein"]
 
 
-class Stein(Adaptation):
-    """Algorithm 1.
+class SteinSettings(BaseModel):
+    """Settings of Algorithm 1.
 
     Attributes:
         inference: one of `smp_planner.inference.SETTINGS`.
@@ -27,6 +27,8 @@ class Stein(Adaptation):
             enough of them are good by then. They are looked at once.
         good_share: of the particles, that is enough.
     """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     inference: str = "default"
     iterations: int = Field(default=100, ge=1)
@@ -40,57 +42,58 @@ class Stein(Adaptation):
         named_settings(name)
         return name
 
-    def _settings(self, primitive: ProMP, steps: int) -> SVGDSettings:
-        settings = replace(named_settings(self.inference), iterations=self.iterations)
-        if self.step_size is not None:
-            settings = replace(settings, step_size=self.step_size)
-        if settings.needs_metric:
-            root = primitive.path_root(steps)
-            settings = settings.with_metric(
-                primitive.whiten_gradient(root) if settings.whiten else root
-            )
-        return settings
 
-    def adapt(
-        self,
-        primitive: ProMP,
-        latent: Tensor,
-        target: Target,
-        rng: np.random.Generator,
-        good: Good | None = None,
-    ) -> Tensor:
-        """Return the particles after the last iteration; nothing is drawn from `rng`."""
-        ask = good if self.early_stop else None
-        settings = self._settings(primitive, target.steps)
-        whiten = settings.whiten
+def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+    inference = replace(named_settings(settings.inference), iterations=settings.iterations)
+    if settings.step_size is not None:
+        inference = replace(inference, step_size=settings.step_size)
+    if inference.needs_metric:
+        root = runs.primitives[0].path_root(runs.steps)
+        if inference.whiten:
+            root = runs.primitives[0].whiten_gradient(root)
+        inference = inference.with_metric(root)
+    return inference
 
-        def whitened(particles: Tensor) -> Tensor:
-            return particles if whiten else primitive.whiten(particles)
 
-        # The basis is evaluated once, not in each iteration.
-        values = primitive.basis.values(phases(target.steps))
-        shape = (-1, primitive.basis.count, primitive.dimension)
-        state = init(latent if whiten else primitive.unwhiten(latent), settings)
-        for iteration in range(settings.iterations):
-            particles = state.particles
-            weights = primitive.unwhiten(particles) if whiten else particles
-            trajectories = (values @ weights.reshape(shape)).numpy()
-            progress = iteration / max(settings.iterations - 1, 1)
-            gradient = torch.from_numpy(target.gradient(trajectories, progress))
-            pulled = (values.mT @ gradient).flatten(-2)
-            if whiten:
-                prior_score, score = -particles, -primitive.whiten_gradient(pulled)
-            else:
-                prior_score, score = primitive.score(particles), -pulled
-            state = step(state, prior_score, score, settings)
-            if not whiten:
-                # Raw weights leave what conditioning made certain, the start above all.
-                state = state._replace(particles=primitive.project(state.particles))
-            if ask is not None:
-                before, after = whitened(particles), whitened(state.particles)
-                movement = float((after - before).square().mean(-1).sqrt().mean())
-                if converged(state, movement, settings):
-                    if ask(after).mean() >= self.good_share:
-                        break
-                    ask = None
-        return whitened(state.particles)
+def stein(
+    runs: Runs,
+    latent: Tensor,
+    target: Target,
+    rngs: Sequence[np.random.Generator],
+    settings: SteinSettings,
+    good: Good,
+) -> Tensor:
+    """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing."""
+    inference = _inference(runs, settings)
+    whiten = inference.whiten
+    ask = settings.early_stop
+
+    def whitened(particles: Tensor) -> Tensor:
+        return particles if whiten else runs.whiten(particles)
+
+    state = init(latent if whiten else runs.unwhiten(latent), inference)
+    for iteration in range(inference.iterations):
+        particles = state.particles
+        weights = runs.unwhiten(particles) if whiten else particles
+        progress = iteration / max(inference.iterations - 1, 1)
+        gradient = target.gradient(runs.trajectories(weights), progress)
+        pulled = runs.pull_back(gradient)
+        if whiten:
+            prior_score, score = -particles, -runs.whiten_gradient(pulled)
+        else:
+            prior_score, score = runs.score(particles), -pulled
+        state = step(state, prior_score, score, inference, validate=False)
+        if not whiten:
+            # Raw weights leave what conditioning made certain, the start above all.
+            state = state._replace(particles=runs.project(state.particles))
+        if ask:
+            before, after = whitened(particles), whitened(state.particles)
+            movement = float((after - before).square().mean(-1).sqrt().mean())
+            if converged(state, movement, inference):
+                if good(after).mean() >= settings.good_share:
+                    break
+                ask = False
+    final = whitened(state.particles)
+    if not bool(torch.isfinite(final).all()):
+        raise ValueError("the costs' gradient must be finite, got NaN or infinity")
+    return final

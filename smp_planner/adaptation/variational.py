@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from smp_planner.adaptation.gaussian import GaussianAdaptation
-from smp_planner.adaptation.target import Target, latent_gradient
+from smp_planner.adaptation.gaussian import one_gaussian
+from smp_planner.adaptation.runs import SceneCosts, latent_gradient
 from smp_planner.inference import GaussianVISettings, init_gaussian, step_gaussian
 from smp_planner.movement_primitives import ProMP
 
-__all__ = ["GaussianVI"]
+__all__ = ["VariationalSettings", "gaussian_vi"]
 
 
-class GaussianVI(GaussianAdaptation):
-    """The Gaussian that is nearest to the posterior, Eq. (9), Q being all Gaussians.
-
-    Minimised is λ E[C(m + L ε)] + KL(q || p) (Eq. (10), read as the expectation of the negative
-    log-likelihood), over mean and a full Cholesky factor, in the whitened coordinates of the prior.
+class VariationalSettings(BaseModel):
+    """Settings of Gaussian variational inference.
 
     Attributes:
         iterations: of the optimiser.
@@ -27,19 +24,30 @@ class GaussianVI(GaussianAdaptation):
         draws: standard normals in each iteration, over which the costs are averaged.
     """
 
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
     iterations: int = Field(default=200, ge=1)
     step_size: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     draws: int = Field(default=42, ge=1)
 
-    def adapt_gaussian(
-        self, primitive: ProMP, target: Target, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Return mean and factor of that Gaussian."""
-        inference = GaussianVISettings(step_size=self.step_size, iterations=self.iterations)
-        state = init_gaussian(primitive.rank, inference)
-        for iteration in range(self.iterations):
-            noise = torch.from_numpy(rng.standard_normal((self.draws, primitive.rank)))
-            progress = iteration / max(self.iterations - 1, 1)
-            gradient = latent_gradient(primitive, state.particles(noise), target, progress)
-            state = step_gaussian(state, noise, gradient, inference)
-        return state.mean, state.factor
+
+@one_gaussian
+def gaussian_vi(
+    primitive: ProMP,
+    scene: SceneCosts,
+    rng: np.random.Generator,
+    settings: VariationalSettings,
+) -> tuple[Tensor, Tensor]:
+    """Return the Gaussian that is nearest to the posterior, Eq. (9), Q being all Gaussians.
+
+    Minimised is λ E[C(m + L ε)] + KL(q || p) (Eq. (10), read as the expectation of the negative
+    log-likelihood), over mean and a full Cholesky factor, in the whitened coordinates of the prior.
+    """
+    inference = GaussianVISettings(step_size=settings.step_size, iterations=settings.iterations)
+    state = init_gaussian(primitive.rank, inference)
+    for iteration in range(settings.iterations):
+        noise = torch.from_numpy(rng.standard_normal((settings.draws, primitive.rank)))
+        progress = iteration / max(settings.iterations - 1, 1)
+        gradient = latent_gradient(primitive, state.particles(noise), scene, progress)
+        state = step_gaussian(state, noise, gradient, inference)
+    return state.mean, state.factor

@@ -1,4 +1,4 @@
-"""Costs of trajectories, each with its gradient: obstacles, the arm itself, limits, points, goals.
+"""Costs of trajectories, each with its gradient: obstacles, the arm itself, limits.
 
 A cost is called with trajectories (P,T,n) rad, at equal steps of phase, and returns its value (P,)
 and its gradient (P,T,n), both float64. Calling with anything else raises a ValueError.
@@ -11,10 +11,9 @@ T = 50, and Eq. (12) is met literally at T = 50.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,22 +21,19 @@ from numpy.typing import ArrayLike, NDArray
 from smp_planner.collision import kernels as compiled
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.occupancy.grid import DistanceGrid
-from smp_planner.planning.problem import GoalRegion
 
 __all__ = [
-    "REACH",
+    "CUTOFF_WIDTHS",
     "REFERENCE_STEPS",
     "VELOCITY_FRACTION",
-    "CarriedBoxCost",
     "CollisionCost",
     "Cost",
-    "GoalCost",
     "JointLimitCost",
     "SelfCollisionCost",
+    "ValueAndGradient",
     "VelocityLimitCost",
-    "ViaPointCost",
-    "carried_via_point_cost",
     "check_trajectories",
+    "steps_scale",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +42,17 @@ ValueAndGradient = tuple[FloatArray, FloatArray]
 REFERENCE_STEPS = 50
 """Steps to which sums along a trajectory are scaled, whatever its T."""
 
-REACH = 6.0
+
+def steps_scale(steps: int) -> float:
+    """Return the factor of a sum over steps, so that weights do not depend on their number.
+
+    What lies between steps counts, not the steps: then a trajectory whose ends are clear costs the
+    same however finely it is sampled. It is 1 for `REFERENCE_STEPS`.
+    """
+    return (REFERENCE_STEPS - 1) / max(steps - 1, 1)
+
+
+CUTOFF_WIDTHS = 6.0
 """Edge widths from a sphere's surface at which its occupancy counts as zero (p^2 = 6e-6 there)."""
 
 VELOCITY_FRACTION = 0.9
@@ -91,53 +97,13 @@ def _positive(name: str, value: float) -> float:
     return float(value)
 
 
-def _scales(name: str, value: ArrayLike, size: int) -> FloatArray:
-    array = np.asarray(value, np.float64)
-    if array.shape not in ((), (size,)) or not (np.isfinite(array) & (array > 0.0)).all():
-        raise ValueError(f"{name} must be a positive number or {size} of them, got {value!r}")
-    return np.broadcast_to(array, (size,))
-
-
-def _steps(steps: ArrayLike) -> NDArray[np.int64]:
-    array = np.atleast_1d(np.asarray(steps))
-    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or not len(array):
-        raise ValueError(f"steps must be one or more integers, got {steps!r}")
-    return array.astype(np.int64)
-
-
-def _inside(steps: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return steps counted from the front; negative ones count from the end."""
-    if not ((steps >= -count) & (steps < count)).all():
-        raise ValueError(f"steps must lie in [-{count}, {count}) for T = {count}, got {steps}")
-    return steps % count
-
-
-def _points(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = np.asarray(value, np.float64)
-    if array.shape == shape[1:]:
-        array = np.broadcast_to(array, shape)
-    if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape} or {shape[1:]}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {array}")
-    return array
-
-
-def _scatter(shape: tuple[int, ...], steps: NDArray[np.int64], parts: FloatArray) -> FloatArray:
-    """Return zeros (P,T,n) with parts (P,H,n) added at steps (H,), of which some may be equal."""
-    gradient = np.zeros(shape)
-    for h, step in enumerate(steps):
-        gradient[:, step] += parts[:, h]
-    return gradient
-
-
 @dataclass(frozen=True)
 class CollisionCost:
     """Squared occupancy of the link spheres, Eq. (12).
 
     The map is asked at every sphere that moves: p = sigma(-(d - r - margin) / edge_width) with d
     the distance of the centre to the nearest obstacle and r the radius. Summed is p^2 less the
-    value that it has where the map is cut off or `REACH` edge widths away, whichever is nearer: a
+    value that it has where the map is cut off or `CUTOFF_WIDTHS` edge widths away, whichever is nearer: a
     sphere far from everything costs exactly nothing, and nothing is computed for it.
 
     Attributes:
@@ -179,7 +145,7 @@ class CollisionCost:
         if not math.isfinite(margin):
             raise ValueError(f"margin must be finite, got {margin}")
         robot, grid = self.robot, self.grid
-        limit = np.minimum(robot.radius + margin + REACH * width, self._truncation)
+        limit = np.minimum(robot.radius + margin + CUTOFF_WIDTHS * width, self._truncation)
         value, gradient = np.empty(len(q)), np.empty((len(q), robot.joints, q.shape[1]))
         compiled.map_collision(
             _steps_last(q),
@@ -198,7 +164,7 @@ class CollisionCost:
             value,
             gradient,
         )
-        scale = REFERENCE_STEPS / q.shape[1]
+        scale = steps_scale(q.shape[1])
         return scale * value, scale * np.ascontiguousarray(gradient.swapaxes(1, 2))
 
 
@@ -207,7 +173,7 @@ class SelfCollisionCost:
     """Squared occupancy of the arm's spheres by one another, in the manner of Eq. (12).
 
     For each pair of `RobotModel.collision_pairs`, p = sigma(-(gap - margin) / edge_width) with the
-    gap between the two surfaces; p^2, less its value at `margin` + `REACH` edge widths, is summed.
+    gap between the two surfaces; p^2, less its value at `margin` + `CUTOFF_WIDTHS` edge widths, is summed.
 
     Attributes:
         robot: the arm and what it carries.
@@ -221,9 +187,9 @@ class SelfCollisionCost:
 
     def __post_init__(self) -> None:
         _positive("edge_width", self.edge_width)
-        if not (math.isfinite(self.margin) and self.margin > -REACH * self.edge_width):
+        if not (math.isfinite(self.margin) and self.margin > -CUTOFF_WIDTHS * self.edge_width):
             raise ValueError(
-                f"margin must be above {-REACH * self.edge_width} (minus {REACH} edge widths), "
+                f"margin must be above {-CUTOFF_WIDTHS * self.edge_width} (minus {CUTOFF_WIDTHS} edge widths), "
                 f"got {self.margin}"
             )
 
@@ -244,13 +210,13 @@ class SelfCollisionCost:
             pairs.pairs,
             pairs.ball_center,
             pairs.ball_radius,
-            self.margin + REACH * self.edge_width,
+            self.margin + CUTOFF_WIDTHS * self.edge_width,
             self.edge_width,
             self.margin,
             value,
             gradient,
         )
-        scale = REFERENCE_STEPS / q.shape[1]
+        scale = steps_scale(q.shape[1])
         return scale * value, scale * np.ascontiguousarray(gradient.swapaxes(1, 2))
 
 
@@ -285,7 +251,7 @@ class JointLimitCost:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
         q = check_trajectories(trajectories, len(self.lower))
         excess = q - np.clip(q, self.lower + self.margin, self.upper - self.margin)
-        scale = REFERENCE_STEPS / q.shape[1]
+        scale = steps_scale(q.shape[1])
         return scale * np.square(excess).sum(axis=(1, 2)), 2.0 * scale * excess
 
 
@@ -343,157 +309,3 @@ class VelocityLimitCost:
         scale = REFERENCE_STEPS / steps.shape[1]
         gradient = _from_differences(2.0 * scale * excess * per_step)
         return scale * np.square(excess).sum(axis=(1, 2)), gradient
-
-
-@dataclass(frozen=True, eq=False)
-class ViaPointCost:
-    """C_mod = |F_t|^2 of Eq. (13), in units of `sigma`: half the squared distance to via-points.
-
-    With weight 1 it is the negative logarithm of a Gaussian with standard deviation sigma.
-
-    Attributes:
-        steps: (H,) steps at which the via-points are due; negative ones count from the end.
-        targets: (H,n) rad, or (n,) for all steps.
-        sigma: rad, one for all joints or (n,).
-    """
-
-    steps: NDArray[np.int64]
-    targets: FloatArray
-    sigma: float | FloatArray
-
-    def __post_init__(self) -> None:
-        steps = _steps(self.steps)
-        width = np.shape(self.targets)[-1] if np.ndim(self.targets) else 0
-        if not width:
-            raise ValueError(f"targets must have shape (H, n) or (n,), got {self.targets}")
-        object.__setattr__(self, "steps", steps)
-        object.__setattr__(self, "targets", _points("targets", self.targets, (len(steps), width)))
-        object.__setattr__(self, "sigma", _scales("sigma", self.sigma, width))
-
-    def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
-        """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        q = check_trajectories(trajectories, self.targets.shape[1])
-        steps = _inside(self.steps, q.shape[1])
-        error = (q[:, steps] - self.targets) / self.sigma
-        value = 0.5 * np.square(error).sum(axis=(1, 2))
-        return value, _scatter(q.shape, steps, error / self.sigma)
-
-
-@dataclass(frozen=True, eq=False)
-class CarriedBoxCost:
-    """Smooth box of Eq. (14) for a point that the hand carries: d^2 / (2 sigma^2) by dimension.
-
-    d is the distance to the box, zero inside; the reading taken makes weight 1 the negative
-    logarithm of Gaussian tails with standard deviation sigma.
-
-    Attributes:
-        robot: the arm.
-        point: (3,) m, fixed in the end-effector frame.
-        steps: (H,) steps at which the point shall be in the box; negative ones count from the end.
-        lower: (H,3) or (3,) m, base frame.
-        upper: (H,3) or (3,) m, base frame.
-        sigma: m, one for all axes or (3,).
-    """
-
-    robot: RobotModel
-    point: FloatArray
-    steps: NDArray[np.int64]
-    lower: FloatArray
-    upper: FloatArray
-    sigma: float | FloatArray
-
-    def __post_init__(self) -> None:
-        steps = _steps(self.steps)
-        self.robot.carried(self.point)
-        object.__setattr__(self, "steps", steps)
-        for name in ("lower", "upper"):
-            array = _points(name, getattr(self, name), (len(steps), 3))
-            object.__setattr__(self, name, array)
-        if not (self.lower <= self.upper).all():
-            raise ValueError(f"lower {self.lower} must not exceed upper {self.upper}")
-        object.__setattr__(self, "sigma", _scales("sigma", self.sigma, 3))
-
-    def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
-        """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        q = check_trajectories(trajectories, self.robot.joints)
-        steps = _inside(self.steps, q.shape[1])
-        points, jacobians = self.robot.carried_points(q[:, steps], self.point)
-        error = (points - np.clip(points, self.lower, self.upper)) / self.sigma
-        value = 0.5 * np.square(error).sum(axis=(1, 2))
-        parts = np.einsum("phi,phij->phj", error / self.sigma, jacobians)
-        return value, _scatter(q.shape, steps, parts)
-
-
-def carried_via_point_cost(
-    robot: RobotModel,
-    point: ArrayLike,
-    steps: ArrayLike,
-    targets: ArrayLike,
-    sigma: float | ArrayLike,
-) -> CarriedBoxCost:
-    """Return Eq. (13)'s via-point cost for a point that the hand carries: a box without extent.
-
-    Args:
-        robot: the arm.
-        point: (3,) m, fixed in the end-effector frame.
-        steps: (H,) steps at which the via-points are due; negative ones count from the end.
-        targets: (H,3) or (3,) m, base frame.
-        sigma: m, one for all axes or (3,).
-    """
-    target = np.asarray(targets, np.float64)
-    return CarriedBoxCost(
-        robot, np.asarray(point), np.asarray(steps), target, target, np.asarray(sigma)
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class GoalCost:
-    """C_mod = -log sum_h pi_h N(...) over goal regions, for the end of the trajectory.
-
-    Each component is a smooth box of Eq. (14), exp(-d_h^2 / (2 sigma^2)), around the point that the
-    region names; a region that is a single point gives the paper's Gaussian. Normalising constants
-    are left out: with equal weights the cost is log(number of goals) or less inside a region.
-
-    Attributes:
-        robot: the arm.
-        goals: at least one region.
-        sigma: m, one for all axes or (3,).
-        shares: mixture weights pi_h, positive; by default equal. They are scaled to sum to one.
-    """
-
-    robot: RobotModel
-    goals: tuple[GoalRegion, ...]
-    sigma: float | FloatArray
-    shares: Sequence[float] | None = None
-    _log_shares: FloatArray = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        if not len(self.goals):
-            raise ValueError("goals must hold at least one GoalRegion, got none")
-        shares = np.ones(len(self.goals)) if self.shares is None else np.asarray(self.shares, float)
-        if shares.shape != (len(self.goals),) or not (np.isfinite(shares) & (shares > 0)).all():
-            raise ValueError(
-                f"shares must be {len(self.goals)} positive numbers, got {self.shares}"
-            )
-        object.__setattr__(self, "sigma", _scales("sigma", self.sigma, 3))
-        object.__setattr__(self, "_log_shares", np.log(shares / shares.sum()))
-
-    def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
-        """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        q = check_trajectories(trajectories, self.robot.joints)
-        end = np.ascontiguousarray(q[:, -1])
-        terms: list[Any] = []
-        slopes: list[Any] = []
-        for goal in self.goals:
-            points, jacobians = self.robot.carried_points(end, goal.point)
-            error = (points - np.clip(points, goal.lower, goal.upper)) / self.sigma
-            terms.append(-0.5 * np.square(error).sum(axis=1))
-            slopes.append(np.einsum("pi,pij->pj", error / self.sigma, jacobians))
-        joint = np.stack(terms, axis=1) + self._log_shares
-        largest = joint.max(axis=1, keepdims=True)
-        membership = np.exp(joint - largest)
-        total = membership.sum(axis=1, keepdims=True)
-        membership /= total
-        gradient = np.zeros(q.shape)
-        gradient[:, -1] = np.einsum("ph,hpj->pj", membership, np.stack(slopes))
-        return -(largest + np.log(total))[:, 0], gradient

@@ -25,7 +25,6 @@ from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
 from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
 from smp_planner.collision.verification import TOLERANCE, self_gap_of
 from smp_planner.occupancy.analytic import PackedObstacles, point_distance
-from smp_planner.planning.problem import Stage
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
 
@@ -237,25 +236,32 @@ class EdgeChecker:
         self.world = World(robot.arrays, np.array(table, np.int64), *packed.arrays, margin)
 
     @classmethod
-    def of_stages(cls, stages: Sequence[Stage], margin: float = TOLERANCE) -> EdgeChecker:
-        """Return the space that is free for all that moves in stages that overlap.
+    def of_all(
+        cls,
+        bodies: Sequence[tuple[RobotModel, Sequence[Obstacle]]],
+        margin: float = TOLERANCE,
+    ) -> EdgeChecker:
+        """Return the space that is free for several sets of spheres of the JACO at once.
 
         The spheres of each must stay clear of its own obstacles, and all of them of each other.
 
         Args:
-            stages: at least one.
+            bodies: at least one robot model with its obstacles.
             margin: see the class.
 
         Raises:
             ValueError: `margin` is less than `TOLERANCE` or not finite.
         """
-        spheres = np.cumsum([0] + [len(stage.spheres) for stage in stages])
-        bodies = np.cumsum([0] + [len(stage.obstacles) for stage in stages])
+        if len(bodies) == 1:
+            return cls(*bodies[0], margin)
+        models, obstacles = zip(*bodies, strict=True)
+        spheres = np.cumsum([0] + [len(model.link) for model in models])
+        places = np.cumsum([0] + [len(of_one) for of_one in obstacles])
         return cls(
-            jaco_of_spheres(concatenate(*(stage.spheres for stage in stages))),
-            [body for stage in stages for body in stage.obstacles],
+            jaco_of_spheres(concatenate(*(model.spheres for model in models))),
+            [obstacle for of_one in obstacles for obstacle in of_one],
             margin,
-            np.column_stack([spheres[:-1], spheres[1:], bodies[:-1], bodies[1:]]),
+            np.column_stack([spheres[:-1], spheres[1:], places[:-1], places[1:]]),
         )
 
     def configurations_free(self, configurations: ArrayLike) -> NDArray[np.bool_]:

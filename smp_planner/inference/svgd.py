@@ -205,7 +205,12 @@ def stein_direction(
 
 
 def step(
-    state: State, prior_score: Tensor, likelihood_score: Tensor, settings: SVGDSettings
+    state: State,
+    prior_score: Tensor,
+    likelihood_score: Tensor,
+    settings: SVGDSettings,
+    *,
+    validate: bool = True,
 ) -> State:
     """Return the state after one more iteration, Eq. (16) and Algorithm 1, lines 7 and 8.
 
@@ -214,6 +219,8 @@ def step(
         prior_score: (..., P, d) gradient of the log-prior at the particles.
         likelihood_score: (..., P, d) gradient of the log-likelihood, -λ ∇C.
         settings: the same as for `init`.
+        validate: whether to look if scores are finite, for which a device has to be waited for;
+            who says no looks at the particles in the end.
 
     Raises:
         ValueError: a score has another shape than the particles or is not finite, or all
@@ -226,7 +233,8 @@ def step(
                 f"{name} must have the shape {tuple(particles.shape)} of the particles, "
                 f"got {tuple(score.shape)}"
             )
-        _check_finite(name, score)
+        if validate:
+            _check_finite(name, score)
     temper = 1.0
     if settings.annealing > 0.0:
         temper = settings.schedule(state.iteration, settings.iterations, settings.annealing)

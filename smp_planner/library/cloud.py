@@ -15,14 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from smp_planner.library.frame import Frame
-from smp_planner.library.maps import Workspace
-from smp_planner.library.settings import AdaptSettings
-from smp_planner.occupancy.grid import DistanceGrid
 from smp_planner.occupancy.neural import INFLATION, PointNetworkMap, train_map
 from smp_planner.occupancy.occupancy_map import TRUNCATION
-from smp_planner.occupancy.point_cloud import label_point_cloud
+from smp_planner.occupancy.point_cloud import LearnedCloud, label_point_cloud
+from smp_planner.planning.maps import Workspace
+from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["THICKNESS", "LearnedCloud", "PointCloud", "learned_cloud"]
+__all__ = ["THICKNESS", "PointCloud", "learned_cloud"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,38 +30,6 @@ THICKNESS = 0.05
 
 _SEED = 0
 """Of points and training: the map belongs to the cloud, whatever the seed of a plan."""
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedCloud:
-    """What is known of a scene from a cloud, in normalised coordinates (m for a robot).
-
-    Attributes:
-        map: the learned distance; None if no point of the cloud is where the body can be.
-        bounds: corners of the box that paths must stay in, because points of the cloud outside of
-            it were not learned; None if there are none.
-    """
-
-    map: PointNetworkMap | None
-    bounds: Workspace | None
-
-    @property
-    def grid(self) -> DistanceGrid | None:
-        """The map as a grid."""
-        return None if self.map is None else self.map.grid
-
-    def covers(self, trajectories: FloatArray, radius: float) -> NDArray[np.bool_]:
-        """Return (P,) whether balls whose centres follow paths (P, T, 3) stay where it was learned.
-
-        Args:
-            trajectories: (P, T, 3).
-            radius: of the balls.
-        """
-        if self.bounds is None:
-            return np.ones(len(trajectories), np.bool_)
-        lower, upper = (np.asarray(corner) for corner in self.bounds)
-        inside = (trajectories - radius >= lower) & (trajectories + radius <= upper)
-        return np.asarray(inside.all(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +106,7 @@ def learned_cloud(
     frame: Frame,
     reachable: Workspace,
     radius: float,
-    settings: AdaptSettings,
+    settings: PlanSettings,
 ) -> LearnedCloud:
     """Return what is known of a cloud where the moving body can be.
 

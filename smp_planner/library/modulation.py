@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smp_planner.planning.problem import GoalRegion
+from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["AnyOf", "Box", "ViaPoint"]
 

@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import reduce
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import Obstacle
-from smp_planner.collision.costs import CollisionCost
-from smp_planner.library.chain import Arm, reachable_box, robot_workspace
-from smp_planner.library.cloud import LearnedCloud, PointCloud, learned_cloud
+from smp_planner.library.cloud import PointCloud, learned_cloud
 from smp_planner.library.frame import Frame
-from smp_planner.library.maps import Workspace, around_both, exact_grid, lowered, neural_grid
-from smp_planner.library.mover import Mover
-from smp_planner.library.point import Ball, DistanceMap, exact_map, in_space, nearest_of
-from smp_planner.library.settings import AdaptSettings
 from smp_planner.library.shapes import PathObstacle, bodies
-from smp_planner.library.site import Place, PlaceSite, Site
 from smp_planner.library.urdf import Robot
-from smp_planner.occupancy.grid import DistanceGrid
+from smp_planner.occupancy.point_cloud import LearnedCloud
+from smp_planner.planning.bodies import Ball, Body, RobotBody, in_space, reachable_box
+from smp_planner.planning.constraints import Constraint, Passing, Place
+from smp_planner.planning.problem import Problem, Stage
+from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["Scene"]
 
 FloatArray = NDArray[np.float64]
 
+REFERENCE_SPHERES = 32
+"""Spheres to which the collision cost of a robot is scaled, however finely it is covered."""
+
 _SLACK = 0.25
-"""Extents around demonstrations and sites that a learned map covers."""
+"""Extents around demonstrations and constraints that a learned map covers."""
 
 _ROOM = 0.5
 """Extents around demonstrations within which a point cloud is learned. It is more, since such a map
@@ -80,47 +79,60 @@ class Scene:
         self._obstacle_frame = frame if robot is None else Frame(np.zeros(3), 1.0)
         self._bodies = bodies(obstacles, self._obstacle_frame)
 
-    def mover(
+    def problem(
         self,
-        settings: AdaptSettings,
+        constraints: tuple[Constraint, ...],
+        settings: PlanSettings,
         seed: int,
         demonstrations: Sequence[FloatArray],
-        sites: Sequence[Site],
-    ) -> Mover:
-        """Return what moves, with the map of the scene that the settings ask for.
+    ) -> Problem:
+        """Return the problem of this scene, in the coordinates of the path.
 
         Args:
-            settings: kind of map, weights.
-            seed: of the training of a map.
+            constraints: what the path shall do, ascending in phase.
+            settings: how a point cloud is learned.
+            seed: of the plan.
             demonstrations: N arrays (T_j, D), in the user's unit; a map covers where they go.
-            sites: and where these are.
         """
-        cloud = self._known(settings, demonstrations, sites)
+        cloud = self._known(settings, demonstrations, constraints)
+        body: Body
         if self._robot is None:
-            covered = np.concatenate([self._demonstrated(demonstrations), self._corners(sites)])
-            distance = self._distance(settings, seed, covered, cloud)
-            return Ball(self._bodies, self._radius, distance, cloud)
-        return self._arm(settings, seed, cloud)
+            shown, asked = self._demonstrated(demonstrations), self._corners(constraints)
+            workspace = None
+            if self._bodies:
+                around = in_space(np.concatenate([shown, asked])[None])[0]
+                slack = np.full(3, _SLACK)
+                slack[self._frame.dimension :] = _LAYER
+                lower, upper = around.min(axis=0) - slack, around.max(axis=0) + slack
+                workspace = tuple(lower.tolist()), tuple(upper.tolist())
+            body = Ball(self._frame.dimension, self._radius, workspace)
+        else:
+            body = RobotBody(self._robot.model, reference_spheres=REFERENCE_SPHERES)
+        stage = Stage(0.0, 1.0, body, self._bodies, cloud)
+        return Problem(body, constraints, (stage,), seed, self._bodies)
 
     def refuse_blocked(
-        self, sites: Sequence[Site], settings: AdaptSettings, demonstrations: Sequence[FloatArray]
+        self,
+        constraints: Sequence[Constraint],
+        settings: PlanSettings,
+        demonstrations: Sequence[FloatArray],
     ) -> None:
-        """Raise a ValueError if a site has no place where the body touches nothing.
+        """Raise a ValueError if a constraint has no place where the body touches nothing.
 
         Args:
-            sites: as in `mover`, like the others.
+            constraints: as in `problem`, like the others.
             settings: how a point cloud is learned.
             demonstrations: and where.
         """
-        cloud = self._known(settings, demonstrations, sites)
-        for site in sites:
-            if not isinstance(site, PlaceSite):
+        cloud = self._known(settings, demonstrations, constraints)
+        for constraint in constraints:
+            if not isinstance(constraint, Passing):
                 continue
-            candidates = [_candidates(place) for place in site.places]
+            candidates = [_candidates(place) for place in constraint.places]
             # A via-point may be passed as far off as its tolerance.
             free = [
                 bool((self._clearance(self._bodies, cloud, points) > -place.tolerance).any())
-                for place, points in zip(site.places, candidates, strict=True)
+                for place, points in zip(constraint.places, candidates, strict=True)
             ]
             if any(free):
                 continue
@@ -134,17 +146,16 @@ class Scene:
             ]
             names = " and ".join(f"obstacles[{index}]" for index in touched) or "the robot itself"
             middle = self._frame.named(candidates[0].mean(axis=0))
-            raise ValueError(f"{site.name} {middle} is inside or touches {names}")
+            raise ValueError(f"{constraint.name} {middle} is inside or touches {names}")
 
     def _clearance(
         self, obstacles: tuple[Obstacle, ...], cloud: LearnedCloud | None, points: FloatArray
     ) -> FloatArray:
         """Return the distance (N,) of the body to obstacles where it stands at points (N, D)."""
-        still = points[:, None]
-        if self._robot is None:
-            return Ball(obstacles, self._radius, None, cloud).check(still).clearance
-        arm = Arm(self._robot.model, obstacles, None, AdaptSettings(), cloud)
-        return arm.check(still).clearance
+        body: Body = Ball(self._frame.dimension, self._radius)
+        if self._robot is not None:
+            body = RobotBody(self._robot.model)
+        return body.check(points[:, None], obstacles, cloud).clearance
 
     def _demonstrated(self, demonstrations: Sequence[FloatArray]) -> FloatArray:
         """Return the normalised samples (N, D) that are not missing."""
@@ -152,17 +163,22 @@ class Scene:
             [self._frame.inwards(d)[np.isfinite(d).all(axis=1)] for d in demonstrations]
         )
 
-    def _corners(self, sites: Sequence[Site]) -> FloatArray:
-        """Return the normalised corners (N, D) of all places of sites."""
-        boxes = [p.box for site in sites if isinstance(site, PlaceSite) for p in site.places]
+    def _corners(self, constraints: Sequence[Constraint]) -> FloatArray:
+        """Return the normalised corners (N, D) of all places of constraints."""
+        boxes = [
+            p.box
+            for constraint in constraints
+            if isinstance(constraint, Passing)
+            for p in constraint.places
+        ]
         corners = [corner.numpy() for box in boxes for corner in (box.lower, box.upper)]
         return np.array(corners).reshape(-1, self._frame.dimension)
 
     def _known(
         self,
-        settings: AdaptSettings,
+        settings: PlanSettings,
         demonstrations: Sequence[FloatArray],
-        sites: Sequence[Site],
+        constraints: Sequence[Constraint],
     ) -> LearnedCloud | None:
         """Return what is known of the point cloud; None if there is none."""
         if self._cloud is None:
@@ -171,56 +187,10 @@ class Scene:
             model = self._robot.model
             box, radius = reachable_box(model), float(model.radius.max(initial=0.0))
         else:
-            shown, asked = self._demonstrated(demonstrations), self._corners(sites)
+            shown, asked = self._demonstrated(demonstrations), self._corners(constraints)
             covered = np.concatenate([shown - _ROOM, shown + _ROOM, asked - _SLACK, asked + _SLACK])
             box, radius = (covered.min(axis=0), covered.max(axis=0)), self._radius
         return learned_cloud(self._cloud, self._obstacle_frame, box, radius, settings)
-
-    def _distance(
-        self,
-        settings: AdaptSettings,
-        seed: int,
-        covered: FloatArray,
-        cloud: LearnedCloud | None,
-    ) -> DistanceMap | None:
-        """Return the map that costs ask, given points (N, D) where paths go."""
-        parts: list[DistanceMap] = []
-        if cloud is not None and cloud.grid is not None:
-            parts.append(cloud.grid.query_with_gradient)
-        if self._bodies and settings.map == "exact":
-            parts.append(exact_map(self._bodies))
-        elif self._bodies:
-            around = in_space(covered[None])[0]
-            slack = np.full(3, _SLACK)
-            slack[self._frame.dimension :] = _LAYER
-            workspace = around.min(axis=0) - slack, around.max(axis=0) + slack
-            grid = self._learned(workspace, settings, seed)
-            if grid is not None:
-                parts.append(grid.query_with_gradient)
-        return reduce(nearest_of, parts) if parts else None
-
-    def _learned(
-        self, workspace: Workspace, settings: AdaptSettings, seed: int
-    ) -> DistanceGrid | None:
-        points, steps = settings.map_points, settings.map_steps
-        return neural_grid(self._bodies, workspace, points, steps, seed)
-
-    def _arm(self, settings: AdaptSettings, seed: int, cloud: LearnedCloud | None) -> Arm:
-        assert self._robot is not None
-        model = self._robot.model
-        workspace: Workspace | None = robot_workspace(model, self._bodies)
-        known = None if cloud is None else cloud.map
-        if workspace is not None and known is not None:
-            workspace = around_both(workspace, known.grid.workspace)
-        grid = None
-        if workspace is not None and settings.map == "exact":
-            grid = exact_grid(self._bodies, workspace)
-        elif workspace is not None:
-            grid = self._learned(workspace, settings, seed)
-        if known is not None:
-            grid = known.grid if grid is None else lowered(grid, known)
-        cost = None if grid is None else CollisionCost(model, grid)
-        return Arm(model, self._bodies, cost, settings, cloud)
 
 
 def _candidates(place: Place) -> FloatArray:

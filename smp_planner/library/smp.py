@@ -5,74 +5,55 @@
     plan.trajectories, plan.collision_free, plan.best
 
 Paths may be in the plane, in space or of a robot's joints, in any unit: lengths that are no
-argument are shares of the demonstrations' extent, see `FitSettings` and `AdaptSettings`.
+argument are shares of the demonstrations' extent, see `PriorSettings` and `AdaptSettings`.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from smp_planner.adaptation import Adaptation, Flow, GaussianVI, OptimisedMean, Stein
-from smp_planner.library.adapting import adapted, judged, widened
-from smp_planner.library.chain import with_collision_pairs
+from smp_planner.adaptation import ADAPTATIONS, Adaptation
 from smp_planner.library.cloud import PointCloud
+from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
-from smp_planner.library.plan import PathPlan
 from smp_planner.library.reading import demonstrations_of
+from smp_planner.library.requests import Wanted, constraints_of
 from smp_planner.library.scene import Scene
-from smp_planner.library.settings import (
-    JOINT_SMOOTH_STD,
-    SMOOTH_STD,
-    AdaptSettings,
-    FitSettings,
-)
-from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
-from smp_planner.library.sites import Wanted, sites_of
+from smp_planner.library.settings import JOINT_SMOOTH_STD, SMOOTH_STD, AdaptSettings
+from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
-from smp_planner.library.target import SceneTarget
 from smp_planner.library.urdf import Robot
-from smp_planner.movement_primitives import (
-    GaussianBasis,
-    ProMP,
-    ProMPMixture,
-    demonstrated_modes,
-)
-from smp_planner.planners.base import Stopwatch, one_thread
-from smp_planner.planning.problem import GoalRegion
+from smp_planner.movement_primitives import ProMP, ProMPMixture
+from smp_planner.planning.pipeline import one_thread, plan_problems
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.prior import learn_prior
+from smp_planner.planning.settings import PriorSettings
+from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = [
-    "METHODS",
     "SMP",
     "AdaptSettings",
     "AnyOf",
     "Box",
     "Circle",
-    "FitSettings",
     "GoalRegion",
-    "PathPlan",
+    "Plan",
     "PointCloud",
+    "PriorSettings",
     "Rectangle",
     "Robot",
     "ViaPoint",
 ]
 
 FloatArray = NDArray[np.float64]
-
-METHODS: dict[str, Adaptation | None] = {
-    "smp": Stein(),
-    "cpromp": GaussianVI(),
-    "prompt_o": OptimisedMean(),
-    "promp_diff": Flow(),
-    "promp": None,
-}
-"""Ways to adapt, by name: Stein's, the paper's baselines, and conditioning alone."""
 
 
 class SMP:
@@ -90,14 +71,13 @@ class SMP:
         settings: how it was learned.
         robot: as above, with the pairs of spheres that must stay clear of each other.
         frame: the normalised coordinates that the primitives live in.
-        mixture: a component for each of the demonstrations' modes.
-        single: one Gaussian for all demonstrations.
+        prior: what it teaches, in these coordinates.
     """
 
     def __init__(
         self,
         demonstrations: Sequence[FloatArray],
-        settings: FitSettings,
+        settings: PriorSettings,
         robot: Robot | None = None,
     ) -> None:
         self.demonstrations = tuple(demonstrations)
@@ -112,34 +92,23 @@ class SMP:
             robot = Robot(with_collision_pairs(robot.model, self.demonstrations), robot.joints)
         self.robot = robot
         self.frame = _frame(self.demonstrations, robot)
-        normal = [self.frame.inwards(d) for d in self.demonstrations]
         with one_thread():
-            groups = demonstrated_modes(
-                normal,
-                GaussianBasis(settings.basis),
-                modes=settings.modes,
-                nan_is_missing=settings.nan_is_missing,
-            )
-            self.single = self._learn(normal)
-            components = tuple(
-                self.single if len(groups) == 1 else self._learn([normal[i] for i in group])
-                for group in groups
-            )
-        self.mixture = ProMPMixture(components, torch.tensor([float(len(g)) for g in groups]))
+            self.prior = learn_prior([self.frame.inwards(d) for d in self.demonstrations], settings)
 
     @classmethod
     def fit(cls, demonstrations: Any, robot: Robot | None = None, **settings: Any) -> SMP:
         """Learn a primitive from demonstrations.
 
         A coordinate that is constant in all of them stays allowed: its freedom is the one that is
-        added (`FitSettings.smooth_std`).
+        added (`PriorSettings.smooth_std`).
 
         Args:
             demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in any one unit, samples
                 at equal steps of phase; or a `.npz` or `.csv` file, see
                 `smp_planner.library.reading`.
             robot: of whose joints, rad, they are; None for paths in the plane or in space.
-            **settings: see `FitSettings`.
+            **settings: see `PriorSettings`; `smooth_std` is 0.1 extents by default, and 0.2 rad for
+                a robot.
 
         Raises:
             FileNotFoundError: no such file.
@@ -147,7 +116,8 @@ class SMP:
                 dimension or not that of the robot, a number that is not finite, all of them one
                 point, or more modes than there are demonstrations for.
         """
-        learning = FitSettings(**settings)
+        freedom = SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
+        learning = PriorSettings(**{"smooth_std": freedom, **settings})
         given = demonstrations_of(demonstrations, nan_is_missing=learning.nan_is_missing)
         return cls(given, learning, robot)
 
@@ -166,6 +136,16 @@ class SMP:
         demonstrations, settings, robot = read_primitive(path)
         given = demonstrations_of(demonstrations, nan_is_missing=settings.nan_is_missing)
         return cls(given, settings, robot)
+
+    @property
+    def single(self) -> ProMP:
+        """One Gaussian for all demonstrations."""
+        return self.prior.single
+
+    @property
+    def mixture(self) -> ProMPMixture:
+        """A component for each of the demonstrations' modes."""
+        return self.prior.mixture
 
     @property
     def dimension(self) -> int:
@@ -187,10 +167,10 @@ class SMP:
         radius: float = 0.0,
         particles: int = 42,
         seed: int = 0,
-        method: str | Adaptation | None = "smp",
+        method: str | Adaptation = "smp",
         per_component: bool = True,
         settings: AdaptSettings | None = None,
-    ) -> PathPlan:
+    ) -> Plan:
         """Return particles of the primitive, adapted to a scene.
 
         Each of the demonstrations' modes keeps its share of the particles. Positions and lengths
@@ -206,7 +186,8 @@ class SMP:
             radius: of the ball that moves; 0 is a point. A robot has none.
             particles: P.
             seed: of all randomness; the same call gives the same plan.
-            method: one of `METHODS`, or a way to adapt; its lengths are in extents.
+            method: one of `smp_planner.adaptation.ADAPTATIONS`, by name or as such; "promp" only
+                conditions the primitive.
             per_component: whether each mode of the demonstrations is adapted on its own; if not,
                 one Gaussian stands for all of them, as the paper's baselines have it.
             settings: map and costs.
@@ -217,72 +198,46 @@ class SMP:
                 that the robot does not reach.
         """
         settings = settings or AdaptSettings()
-        way = _method(method)
+        adaptation = _adaptation(method)
         if particles < 1:
             raise ValueError(f"particles must be at least 1, got {particles}")
+        settings = settings.model_copy(update={"particles": particles})
         obstacles = (obstacles,) if isinstance(obstacles, PointCloud) else tuple(obstacles)
-        stopwatch = Stopwatch()
+        model = None if self.robot is None else self.robot.model
+        constraints = constraints_of(self.frame, start, via_points, goal, settings.sigma, model)
+        begin = time.perf_counter()
         with one_thread():
-            model = None if self.robot is None else self.robot.model
-            sites = sites_of(self.frame, start, via_points, goal, settings.sigma, model)
-            with stopwatch.stage("map"):
-                scene = Scene(self.frame, self.robot, obstacles, radius)
-                scene.refuse_blocked(sites, settings, self.demonstrations)
-                mover = scene.mover(settings, seed, self.demonstrations, sites)
-            target = SceneTarget(mover, sites, settings)
-            prior = self.mixture if per_component else ProMPMixture((self.single,), torch.ones(1))
-            attempts = settings.retries + 1 if way is not None else 1
-            for attempt in range(attempts):
-                wide = tuple(
-                    widened(
-                        component, self._smooth_std, self.settings.smooth_length_scale, 2.0**attempt
-                    )
-                    for component in prior.components
-                )
-                tried = adapted(
-                    ProMPMixture(wide, prior.shares), target, way, particles, seed, stopwatch
-                )
-                with stopwatch.stage("verification"):
-                    verdict = judged(tried, self.single, target)
-                # Of attempts that all fail, the first has the demonstrations' own freedom.
-                if attempt == 0 or verdict.good.any():
-                    found, best = tried, verdict
-                if best.good.any():
-                    break
+            scene = Scene(self.frame, self.robot, obstacles, radius)
+            scene.refuse_blocked(constraints, settings, self.demonstrations)
+            problem = scene.problem(constraints, settings, seed, self.demonstrations)
+        reading = time.perf_counter() - begin
+        prior = self.prior
+        if not per_component:
+            single = prior.settings.model_copy(update={"per_component": False})
+            prior = replace(prior, settings=single)
+        (plan,) = plan_problems([problem], prior, adaptation, settings)
+        return self._outwards(plan, obstacles, reading)
+
+    def _outwards(self, plan: Plan, obstacles: Sequence[PathObstacle], reading: float) -> Plan:
+        """Return a plan in the unit of the demonstrations, with what is drawn beside it."""
         scale = self.frame.scale
-        return PathPlan(
-            trajectories=self.frame.outwards(best.paths),
-            weights=found.weights.numpy().reshape(particles, -1, self.dimension),
-            costs=best.costs,
-            collision_free=best.check.free,
-            clearance=scale * best.check.clearance,
-            executable=best.check.executable,
-            duration=best.check.duration,
-            missed={name: scale * value for name, value in best.missed.items()},
-            passing=best.passing,
-            components=found.components,
-            chosen=best.chosen,
-            timings=dict(stopwatch.timings),
-            message=best.message,
-            demonstrations=self.demonstrations,
-            obstacles=obstacles,
-            tool_paths=None if self.robot is None else self.robot.tool_positions(best.paths),
-        )
-
-    @property
-    def _smooth_std(self) -> float:
-        """Standard deviation of the added freedom, in extents."""
-        if self.settings.smooth_std is not None:
-            return self.settings.smooth_std
-        return SMOOTH_STD if self.robot is None else JOINT_SMOOTH_STD
-
-    def _learn(self, demonstrations: Sequence[FloatArray]) -> ProMP:
-        return ProMP.fit(
-            demonstrations,
-            GaussianBasis(self.settings.basis),
-            smooth_std=self._smooth_std,
-            smooth_length_scale=self.settings.smooth_length_scale,
-            nan_is_missing=self.settings.nan_is_missing,
+        planar = [o for o in obstacles if isinstance(o, Circle | Rectangle)]
+        timings = dict(plan.timings)
+        timings["map"] = timings.get("map", 0.0) + reading
+        return replace(
+            plan,
+            trajectories=self.frame.outwards(plan.trajectories),
+            clearance=scale * plan.clearance,
+            missed={name: scale * value for name, value in plan.missed.items()},
+            timings=timings,
+            display={
+                "demonstrations": self.demonstrations,
+                "obstacles": tuple(obstacles),
+                "outlines": [outline(obstacle) for obstacle in planar],
+            },
+            tool_paths=(
+                None if self.robot is None else self.robot.tool_positions(plan.trajectories)
+            ),
         )
 
 
@@ -298,11 +253,11 @@ def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:
     return Frame((lower + upper) / 2, scale)
 
 
-def _method(method: str | Adaptation | None) -> Adaptation | None:
-    if method is None or isinstance(method, Adaptation):
+def _adaptation(method: str | Adaptation) -> Adaptation:
+    if isinstance(method, Adaptation):
         return method
-    if method not in METHODS:
+    if method not in ADAPTATIONS:
         raise ValueError(
-            f"method must be one of {', '.join(METHODS)}, or a way to adapt; got {method!r}"
+            f"method must be one of {', '.join(ADAPTATIONS)}, or an Adaptation; got {method!r}"
         )
-    return METHODS[method]
+    return ADAPTATIONS[method]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.library.settings import FitSettings
 from smp_planner.library.urdf import Robot
 from smp_planner.occupancy.archive import read_archive, write_archive
+from smp_planner.planning.settings import PriorSettings
 
 __all__ = ["read_primitive", "write_primitive"]
 
@@ -32,7 +32,7 @@ _SPHERES = ("link", "center", "radius")
 def write_primitive(
     path: str | Path,
     demonstrations: Sequence[FloatArray],
-    settings: FitSettings,
+    settings: PriorSettings,
     robot: Robot | None,
 ) -> None:
     """Write what a primitive is learned from as an `.npz` without pickled objects."""
@@ -50,7 +50,7 @@ def write_primitive(
 
 def read_primitive(
     path: str | Path,
-) -> tuple[list[FloatArray], FitSettings, Robot | None]:
+) -> tuple[list[FloatArray], PriorSettings, Robot | None]:
     """Read what `write_primitive` wrote.
 
     Raises:
@@ -63,7 +63,7 @@ def read_primitive(
         if samples.ndim != 2 or lengths.sum() != len(samples):
             raise ValueError(f"{len(samples)} samples do not have the lengths {lengths}")
         demonstrations = np.split(samples, np.cumsum(lengths)[:-1])
-        settings = FitSettings.model_validate_json(str(arrays["settings"]))
+        settings = PriorSettings.model_validate_json(str(arrays["settings"]))
         robot = None
         if "joints" in arrays:
             robot = Robot(

@@ -4,11 +4,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = ["SmoothBox"]
+__all__ = ["SmoothBox", "box_offset"]
+
+Array = TypeVar("Array", Tensor, NDArray[np.float64])
+
+
+def box_offset(value: Array, lower: Array, upper: Array) -> Array:
+    """Return the signed distance to a box in each dimension, the d of Eq. (14); 0 inside.
+
+    Args:
+        value: (..., D), an array or a tensor.
+        lower: (D,) lower corner, or (..., D).
+        upper: (D,) upper corner, or (..., D).
+    """
+    return value - value.clip(lower, upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +90,7 @@ class SmoothBox:
             raise ValueError(
                 f"value must have shape (..., {len(self.lower)}), got {tuple(value.shape)}"
             )
-        return value - torch.minimum(torch.maximum(value, self.lower), self.upper)
+        return box_offset(value, self.lower, self.upper)
 
     def contains(self, value: Tensor) -> Tensor:
         """Return whether points lie in the box, (..., D) -> (...) of bool."""

@@ -8,19 +8,52 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from smp_planner.occupancy.analytic import check_points
-from smp_planner.occupancy.grid import WORKSPACE
-from smp_planner.occupancy.neural import INFLATION, NEAR, UNIFORM_SHARE
+from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid
+from smp_planner.occupancy.neural import INFLATION, NEAR, UNIFORM_SHARE, PointNetworkMap
 
-__all__ = ["label_point_cloud"]
+__all__ = ["LearnedCloud", "label_point_cloud"]
 
 _LAYER = 0.01
 """Metres between the layers of points that stand for what is behind a surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCloud:
+    """What is known of a scene from a cloud, in normalised coordinates (m for a robot).
+
+    Attributes:
+        map: the learned distance; None if no point of the cloud is where the body can be.
+        bounds: corners of the box that paths must stay in, because points of the cloud outside of
+            it were not learned; None if there are none.
+    """
+
+    map: PointNetworkMap | None
+    bounds: tuple[tuple[float, ...], tuple[float, ...]] | None
+
+    @property
+    def grid(self) -> DistanceGrid | None:
+        """The map as a grid."""
+        return None if self.map is None else self.map.grid
+
+    def covers(self, trajectories: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
+        """Return (P,) whether balls whose centres follow paths (P, T, 3) stay where it was learned.
+
+        Args:
+            trajectories: (P, T, 3).
+            radius: of the balls.
+        """
+        if self.bounds is None:
+            return np.ones(len(trajectories), np.bool_)
+        lower, upper = (np.asarray(corner) for corner in self.bounds)
+        inside = (trajectories - radius >= lower) & (trajectories + radius <= upper)
+        return np.asarray(inside.all(axis=(1, 2)))
 
 
 def label_point_cloud(

@@ -17,7 +17,8 @@ from smp_gym.robot.kinematics import (
     pen_spheres,
 )
 from smp_gym.scene import BIN_HEIGHT, STROKE_POINTS, Goal, Obstacle, fixtures
-from smp_planner.planning.problem import GoalRegion, Problem, Stage, ViaPoint, ViaPose
+from smp_planner.planning.problem import Problem, arm_problem, arm_stage
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 from smp_planner.policy.grasping import Grasping, upright_pose
 
 __all__ = ["checkpoint_phases", "problem_from"]
@@ -84,7 +85,7 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
     solid = (*obstacles, *fixtures(decoded.scene))
     contact, grasp = float(grasping.phases[0]), grasping.phase
     target = np.array(decoded.scene.goals[0].position)
-    return Problem(
+    return arm_problem(
         start=decoded.robot.reference,
         obstacles=solid,
         attached=concatenate(fingers, box),
@@ -95,10 +96,10 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
             for phase, pose in zip(grasping.phases, grasping.poses, strict=True)
         ),
         stages=(
-            Stage(0.0, contact, opened, (*solid, block)),
-            Stage(contact, grasp, opened, solid),
-            Stage(grasp, 1.0, concatenate(arm, fingers), solid),
-            Stage(grasp, 1.0, box, obstacles),
+            arm_stage(0.0, contact, opened, (*solid, block)),
+            arm_stage(contact, grasp, opened, solid),
+            arm_stage(grasp, 1.0, concatenate(arm, fingers), solid),
+            arm_stage(grasp, 1.0, box, obstacles),
         ),
         movable=obstacles,
     )
@@ -126,11 +127,11 @@ def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray 
         phases = np.linspace(0.0, 1.0, STROKE_POINTS)
     # The pen starts near the first checkpoint, and the last one is the goal.
     via_points = tuple(
-        ViaPoint(float(phases[k]), PEN_TIP, np.asarray(place), CHECKPOINT_TOLERANCE)
+        ToolViaPoint(float(phases[k]), PEN_TIP, np.asarray(place), CHECKPOINT_TOLERANCE)
         for k, place in enumerate(stroke.checkpoints[:-1])
         if k > 0 and stroke.demanded[k]
     )
-    return Problem(
+    return arm_problem(
         start=decoded.robot.reference,
         obstacles=(*decoded.scene.obstacles, *fixtures(decoded.scene)),
         attached=concatenate(finger_spheres(decoded.robot.finger_angles), pen_spheres()),
@@ -178,7 +179,7 @@ def problem_from(
     )
     reach_down = float(np.abs(object_pose[2, :3]) @ decoded.object.size)
     goals = tuple(_release_region(g, held[:3, 3], reach_down) for g in decoded.scene.goals)
-    return Problem(
+    return arm_problem(
         start=decoded.robot.reference,
         obstacles=(*decoded.scene.obstacles, *fixtures(decoded.scene)),
         attached=attached,

@@ -7,30 +7,21 @@ neither on the machine nor on what was planned before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.interpolate import CubicSpline
 
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import TOLERANCE, minimum_duration
-from smp_planner.movement_primitives import phases
-from smp_planner.planners.base import (
-    SAMPLES,
-    PlannerModel,
-    PlannerSettings,
-    Stopwatch,
-    jaco_with,
-)
-from smp_planner.planners.judging import missed_via_points
 from smp_planner.planners.rrt_connect.layered_search import way_through
-from smp_planner.planners.rrt_connect.postures import pose_chain, reaching
 from smp_planner.planners.rrt_connect.shortcutting import (
     path_length,
     shortcut,
@@ -38,8 +29,15 @@ from smp_planner.planners.rrt_connect.shortcutting import (
     stop_at_corners,
 )
 from smp_planner.planners.rrt_connect.tree_search import rrt_connect
-from smp_planner.planners.tying import TiedPrimitive
-from smp_planner.planning.problem import GoalRegion, Plan, Problem, ViaPoint, ViaPose
+from smp_planner.planning.assessment import make_plan
+from smp_planner.planning.bodies import RobotBody
+from smp_planner.planning.constraints import ToolPath, at_phases
+from smp_planner.planning.pipeline import Stopwatch
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.postures import pose_chain, reaching
+from smp_planner.planning.problem import Problem
+from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
 __all__ = ["RRTConnectPlanner", "RRTConnectSettings"]
 
@@ -52,7 +50,11 @@ _LIFT_OFF = 0.03
 """Metres by which the hand goes straight up with what it has grasped."""
 
 
-class RRTConnectSettings(PlannerSettings):
+SAMPLES = 200
+"""T of the trajectories in a plan, as in the demonstrations."""
+
+
+class RRTConnectSettings(BaseModel):
     """Settings of RRT-Connect.
 
     Attributes:
@@ -65,7 +67,10 @@ class RRTConnectSettings(PlannerSettings):
             configurations are sought.
         branches: how many ways to take the via-poses are tried.
         shortcuts: iterations of shortcutting.
+        duration_limit: s, within which an executable trajectory must be feasible.
     """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(default=4, ge=1)
     margin: float = Field(default=0.005, ge=TOLERANCE, allow_inf_nan=False)
@@ -75,6 +80,7 @@ class RRTConnectSettings(PlannerSettings):
     posture_spread: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
     branches: int = Field(default=8, ge=1)
     shortcuts: int = Field(default=100, ge=0)
+    duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
 
 
 def _timed(
@@ -103,7 +109,7 @@ def _timed(
     return stop_at_corners(path, velocity, samples) if best is None else best[1]
 
 
-def _via_region(via: ViaPoint) -> GoalRegion:
+def _via_region(via: ToolViaPoint) -> GoalRegion:
     """Return the largest cube within the ball in which a via-point is passed."""
     half = via.tolerance / np.sqrt(3.0)
     return GoalRegion(via.point, via.position - half, via.position + half)
@@ -115,43 +121,46 @@ class _Search:
 
     Attributes:
         problem: to be solved.
-        robot: the arm with all that it carries.
-        tied: the primitive, conditioned.
-        postures: (N,6) rad, around which configurations that reach a goal are sought.
+        demonstrated: (N,T,6) rad, around which configurations are sought.
         settings: budgets.
     """
 
     problem: Problem
-    robot: RobotModel
-    tied: TiedPrimitive
-    postures: FloatArray
+    demonstrated: FloatArray
     settings: RRTConnectSettings
+
+    @property
+    def robot(self) -> RobotModel:
+        """The arm with all that it carries."""
+        return self.problem.robot
 
     def goals(self, near: FloatArray) -> FloatArray:
         """Return configurations (G,6) rad at the goals, not checked for collisions."""
-        s = self.settings
         rng = np.random.default_rng([self.problem.seed, 1])
-        seeds = self.postures[rng.integers(len(self.postures), size=s.postures)]
-        seeds = seeds + s.posture_spread * rng.standard_normal(seeds.shape)
+        seeds = self._seeds((1.0,), rng)[0]
         return reaching(self.problem.goals, self.robot, seeds, near, rng)
 
-    def layers(self) -> list[FloatArray]:
-        """Return configurations (C,6) rad at each via-point in turn, and at last at the goals.
+    def _seeds(self, due: Sequence[float], rng: np.random.Generator) -> list[FloatArray]:
+        """Return configurations (N,6) rad near those demonstrated at each of several phases.
 
-        Each is sought from where the draws of the primitive are when the via-point is due, so that
-        what follows upon each other is near in posture, too.
+        At all phases they are of the same demonstrations and as far aside, so that what follows
+        upon each other is near in posture, too.
         """
-        via_points, primitive = self.problem.via_points, self.tied.primitive
+        s = self.settings
+        chosen = rng.integers(len(self.demonstrated), size=s.postures)
+        aside = s.posture_spread * rng.standard_normal((s.postures, self.robot.joints))
+        there = at_phases(self.demonstrated, due)[chosen]
+        return [there[:, k] + aside for k in range(len(due))]
+
+    def layers(self) -> list[FloatArray]:
+        """Return configurations (C,6) rad at each via-point in turn, and at last at the goals."""
+        via_points = self.problem.via_points
         rng = np.random.default_rng([self.problem.seed, 1])
-        latent = rng.standard_normal((self.settings.postures, primitive.rank))
-        weights = primitive.unwhiten(torch.from_numpy(latent))
-        weights = weights.reshape(-1, primitive.basis.count, primitive.dimension)
-        due = torch.tensor([*(via.phase for via in via_points), 1.0], dtype=weights.dtype)
-        draws = (primitive.basis.values(due) @ weights).numpy().swapaxes(0, 1)
+        seeds = self._seeds([*(via.phase for via in via_points), 1.0], rng)
         regions = [*((_via_region(via),) for via in via_points), self.problem.goals]
         return [
-            reaching(region, self.robot, seeds, seeds[0], rng)
-            for region, seeds in zip(regions, draws, strict=True)
+            reaching(region, self.robot, near, near[0], rng)
+            for region, near in zip(regions, seeds, strict=True)
         ]
 
     def checker(
@@ -166,12 +175,9 @@ class _Search:
             last: phase at which it ends.
         """
         stages = [s for s in self.problem.stages if s.first < last and s.last > first]
+        bodies = [(s.body.model, s.obstacles) for s in stages if isinstance(s.body, RobotBody)]
         for margin in (self.settings.margin, TOLERANCE):
-            checker = (
-                EdgeChecker.of_stages(stages, margin)
-                if stages
-                else EdgeChecker(self.robot, self.problem.obstacles, margin)
-            )
+            checker = EdgeChecker.of_all(bodies, margin)
             if all(checker.configurations_free(layer).any() for layer in ends):
                 break
         return checker
@@ -186,7 +192,11 @@ class _Search:
 
     def passes(self, trajectory: FloatArray) -> bool:
         """Return whether a trajectory (T,6) rad passes all via-points."""
-        return bool(missed_via_points(self.problem, self.robot, trajectory[None])[0] <= 0.0)
+        return all(
+            constraint.missed(trajectory[None])[0] <= 0.0
+            for constraint in self.problem.constraints
+            if isinstance(constraint, ToolPath)
+        )
 
     def direct(self, goals: FloatArray, rng: np.random.Generator) -> FloatArray | None:
         """Return a trajectory (T,6) rad from the start to a goal, or None."""
@@ -213,15 +223,15 @@ class _Search:
     def branches(self, rng: np.random.Generator) -> Iterator[FloatArray]:
         """Yield ways (H,6) rad to take the via-poses that are free from one to the next.
 
-        First that nearest to what the primitive expects, then those nearest to random ones.
+        First that nearest to what was demonstrated, then those nearest to random ones.
         """
         via_poses = self.problem.via_poses
-        expected = self.tied.primitive.marginal(via_poses[-1].phase)[0].numpy()
+        expected = at_phases(self.demonstrated, via_poses[-1].phase)[:, 0].mean(axis=0)
         checker = self.checker((), via_poses[0].phase, via_poses[-1].phase)
         for attempt in range(self.settings.branches):
             turn = rng.uniform(-np.pi, np.pi, self.robot.joints) if attempt else 0.0
             try:
-                chain = pose_chain(via_poses, expected + turn)
+                chain = pose_chain([via.pose for via in via_poses], expected + turn)
             except UnreachableError:
                 continue
             if checker.edges_free(chain[:-1], chain[1:]).all():
@@ -278,35 +288,53 @@ def _followed(chain: FloatArray, via_poses: Sequence[ViaPose], samples: int) -> 
     return np.asarray(spline(np.linspace(due[0], due[-1], samples)))
 
 
-class RRTConnectPlanner(PlannerModel):
+class RRTConnectPlanner:
     """Independent RRT-Connect solutions, shortened and smoothed.
 
     Via-points are passed through configurations found by inverse kinematics, joined by straight
     edges or, where none is free, by a search. Where a problem has via-poses, the stretch between
-    the first and the last of them is followed as posed, and the ways to and from it are searched.
+    the first and the last of them is followed as posed, and the paths to and from it are searched.
+    Of several solutions the shortest is best.
 
-    The demonstrations lend the postures and, for the plan's `weights` and its cost `prior`, the
-    primitive: the weights of a particle are those whose trajectory is nearest to its own in the
-    sense of least squares. What is verified and executed is the trajectory itself.
+    Args:
+        demonstrations: lend the postures in which a place is reached, and nothing else.
+        settings: of `RRTConnectSettings` by name; the rest keep their defaults.
+
+    Raises:
+        ValueError: an unknown setting, or one out of range.
     """
 
-    name = "rrt_connect"
-    Settings = RRTConnectSettings
-    settings: RRTConnectSettings
+    def __init__(self, demonstrations: Demonstrations, settings: Mapping[str, Any]) -> None:
+        self._settings = RRTConnectSettings.model_validate(dict(settings))
+        self._demonstrated = np.array(demonstrations.configurations)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings by name, as plain data."""
+        return self._settings.model_dump(mode="json")
+
+    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return one plan for each problem; the same problem gives the same plan.
+
+        Raises:
+            UnreachableError: a goal is out of reach.
+        """
+        return [self._plan(problem) for problem in problems]
 
     def _plan(self, problem: Problem) -> Plan:
-        stopwatch = Stopwatch()
-        with stopwatch.stage("conditioning"):
-            robot = jaco_with(problem)
-            tied = self.tie(problem, robot, through=problem.via_points)
+        stopwatch, settings = Stopwatch(), self._settings
         with stopwatch.stage("goals"):
-            postures = np.array([path[-1] for path in self.demonstrations.configurations])
-            search = _Search(problem, robot, tied, postures, self.settings)
+            search = _Search(problem, self._demonstrated, settings)
             goals = search.goals(problem.start)
+            if not len(goals):
+                named = ", ".join(f"{np.round(goal.center, 3)}" for goal in problem.goals)
+                raise UnreachableError(
+                    f"goal {named} is out of reach from each of {settings.postures} configurations"
+                )
             layers = search.layers() if problem.via_points else []
         with stopwatch.stage("search"):
             found = []
-            for index in range(self.settings.particles):
+            for index in range(settings.particles):
                 rng = np.random.default_rng([problem.seed, 2, index])
                 if problem.via_poses:
                     found.append(search.by_poses(rng))
@@ -316,22 +344,19 @@ class RRTConnectPlanner(PlannerModel):
                     found.append(search.direct(goals, rng))
         with stopwatch.stage("verification"):
             # Where no path was found a straight one stands, so that the set has its size.
-            end = goals[0] if len(goals) else tied.posture
-            straight = stop_at_corners(np.stack([problem.start, end]), robot.velocity, SAMPLES)
+            ends = np.stack([problem.start, goals[0]])
+            straight = stop_at_corners(ends, problem.robot.velocity, SAMPLES)
             trajectories = np.stack([straight if path is None else path for path in found])
-            basis = tied.primitive.basis.values(phases(SAMPLES))
-            weights = torch.linalg.pinv(basis) @ torch.from_numpy(trajectories)
-            latent = tied.primitive.whiten(weights.flatten(-2))
-            costs = {
-                "prior": 0.5 * latent.square().sum(-1).numpy(),
-                "length": np.array([path_length(path) for path in trajectories]),
-            }
-        free = search.checker([problem.start[None], goals]).configurations_free(goals)
-        reason = (
-            f"{sum(path is not None for path in found)} of {self.settings.particles} searches "
-            f"succeeded within {self.settings.iterations} iterations, {int(free.sum())} of "
-            f"{self.settings.postures} configurations at the goal are free"
-        )
-        return self.judge(
-            problem, robot, trajectories, weights.numpy(), costs, stopwatch, reason=reason
-        )
+            free = search.checker([problem.start[None], goals]).configurations_free(goals)
+            plan = make_plan(
+                problem,
+                trajectories,
+                {"length": np.array([path_length(path) for path in trajectories])},
+                PlanSettings(particles=len(found), duration_limit=settings.duration_limit),
+                reason=(
+                    f"{sum(path is not None for path in found)} of {settings.particles} searches "
+                    f"succeeded within {settings.iterations} iterations, {int(free.sum())} of "
+                    f"{settings.postures} configurations at the goal are free"
+                ),
+            )
+        return replace(plan, timings=stopwatch.timings)

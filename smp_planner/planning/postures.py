@@ -7,13 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smp_gym.robot.kinematics import inverse_kinematics
+from smp_gym.robot.kinematics import UnreachableError, inverse_kinematics
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.planning.problem import GoalRegion, ViaPose
+from smp_planner.planning.tool_goals import GoalRegion
 
-__all__ = ["pose_chain", "reaching"]
+__all__ = ["final_posture", "pose_chain", "reaching"]
 
 FloatArray = NDArray[np.float64]
+
+POSTURE_REACHES = 0.02
+"""Distance, m, from a region up to which a posture is taken to reach it."""
 
 _ITERATIONS = 30
 _LARGEST_STEP = 0.3
@@ -84,22 +87,73 @@ def _moved(
     return q, np.linalg.norm(target - robot.carried_points(q, point)[0], axis=1)
 
 
-def pose_chain(via_poses: Sequence[ViaPose], near: ArrayLike) -> FloatArray:
-    """Return configurations (H,6) rad that take via-poses one after the other.
+def pose_chain(poses: Sequence[FloatArray], near: ArrayLike) -> FloatArray:
+    """Return configurations (H,6) rad that take poses one after the other.
 
     A pose leaves an arm of six joints no freedom but the choice of a branch: that nearest to a
     given configuration is taken, and kept.
 
     Args:
-        via_poses: H of them, at least one.
-        near: (6,) rad, about where the last via-pose is taken.
+        poses: H of the end effector (4, 4) in the base frame, at least one.
+        near: (6,) rad, about where the last pose is taken.
 
     Raises:
-        UnreachableError: a via-pose is out of reach.
+        UnreachableError: a pose is out of reach.
     """
     chain = []
     # The last one first: the arm is stretched there, and away from its joint limits.
-    for via in reversed(via_poses):
-        near = inverse_kinematics(via.pose[:3, 3], via.pose[:3, :3], seed=near)
+    for pose in reversed(poses):
+        near = inverse_kinematics(pose[:3, 3], pose[:3, :3], seed=near)
         chain.append(near)
     return np.array(chain[::-1])
+
+
+def final_posture(
+    mean: FloatArray,
+    covariance: FloatArray,
+    regions: Sequence[GoalRegion],
+    robot: RobotModel,
+    std: float,
+) -> FloatArray:
+    """Return the configuration (n,) that reaches a region and is most likely under a Gaussian.
+
+    Gauss-Newton on the negative log-posterior of the configuration, given that the carried point is
+    in the middle of the region up to `std`. Of several regions the likeliest is taken.
+
+    Args:
+        mean: (n,) rad.
+        covariance: (n, n).
+        regions: at least one.
+        robot: the arm.
+        std: m.
+
+    Raises:
+        UnreachableError: no region is reached.
+    """
+    precision = np.linalg.inv(covariance)
+    best: tuple[float, FloatArray] | None = None
+    nearest = np.inf
+    for region in regions:
+        # Approaching the goal in steps keeps each linearisation close to the truth.
+        posture = np.clip(mean, robot.lower, robot.upper)
+        origin = robot.carried_points(posture, region.point)[0]
+        for share in (*np.linspace(0.2, 1.0, 5), 1.0, 1.0, 1.0, 1.0, 1.0):
+            target = origin + share * (region.center - origin)
+            point, jacobian = robot.carried_points(posture, region.point)
+            scaled = jacobian / std
+            hessian = scaled.T @ scaled + precision
+            slope = scaled.T @ (point - target) / std + precision @ (posture - mean)
+            change = np.linalg.solve(hessian, slope)
+            change *= min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))
+            posture = np.clip(posture - change, robot.lower, robot.upper)
+        error = float(region.distance(robot.carried_points(posture, region.point)[0]))
+        nearest = min(nearest, error)
+        energy = float((posture - mean) @ precision @ (posture - mean))
+        if error <= POSTURE_REACHES and (best is None or energy < best[0]):
+            best = energy, posture
+    if best is None:
+        named = ", ".join(f"{np.round(region.center, 3)}" for region in regions)
+        raise UnreachableError(
+            f"goal {named} is out of reach: the arm stays {nearest:.3f} m away from it"
+        )
+    return best[1]

@@ -1,4 +1,4 @@
-"""What the user asks of a path, checked and turned into sites in normalised coordinates."""
+"""What the user asks of a path, checked and turned into constraints in normalised coordinates."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
-from smp_planner.library.site import Place, PlaceSite, Site, ToolSite
 from smp_planner.movement_primitives.box_prior import SmoothBox
-from smp_planner.planning.problem import GoalRegion
+from smp_planner.planning.constraints import Constraint, Passing, Place, Reaching
+from smp_planner.planning.tool_goals import GoalRegion
 
-__all__ = ["Wanted", "sites_of"]
+__all__ = ["Wanted", "constraints_of"]
 
 FloatArray = NDArray[np.float64]
 Wanted = ArrayLike | Box | GoalRegion | AnyOf
@@ -31,14 +31,14 @@ _SAME = 1e-9
 """Difference of phases, and extents, up to which two are the same."""
 
 
-def sites_of(
+def constraints_of(
     frame: Frame,
     start: Wanted | None,
     via_points: Sequence[ViaPoint | AnyOf],
     goal: Wanted | None,
     sigma: float,
     robot: RobotModel | None,
-) -> tuple[Site, ...]:
+) -> tuple[Constraint, ...]:
     """Return what a path shall be near to, ascending in phase.
 
     Args:
@@ -51,18 +51,18 @@ def sites_of(
 
     Raises:
         ValueError: a place of another dimension than the path or not finite, options of a
-            via-point at different phases, a region for the tool of no robot, or two sites of one
+            via-point at different phases, a region for the tool of no robot, or two constraints of one
             phase that cannot both be met.
     """
-    sites: list[Site] = []
+    constraints: list[Constraint] = []
     if start is not None:
-        sites.append(_place_site("start", 0.0, frame, start, sigma))
+        constraints.append(_passing("start", 0.0, frame, start, sigma))
     if goal is not None:
         options, shares = _options(goal)
         if any(isinstance(option, GoalRegion) for option in options):
-            sites.append(_tool_site(options, shares, robot, sigma))
+            constraints.append(_reaching(options, shares, robot))
         else:
-            sites.append(_place_site("goal", 1.0, frame, goal, sigma))
+            constraints.append(_passing("goal", 1.0, frame, goal, sigma))
     for index, via in enumerate(via_points):
         name = f"via_points[{index}]"
         options, _ = _options(via)
@@ -72,11 +72,11 @@ def sites_of(
         phases = sorted({option.phase for option in options})
         if len(phases) > 1:
             raise ValueError(f"{name} must be options of one phase, got {phases}")
-        sites.append(_place_site(name, phases[0], frame, via, sigma))
-    for first, second in combinations(sites, 2):
-        if isinstance(first, PlaceSite) and isinstance(second, PlaceSite):
+        constraints.append(_passing(name, phases[0], frame, via, sigma))
+    for first, second in combinations(constraints, 2):
+        if isinstance(first, Passing) and isinstance(second, Passing):
             _refuse_contradiction(frame, first, second)
-    return tuple(sorted(sites, key=lambda site: site.phase))
+    return tuple(sorted(constraints, key=lambda constraint: constraint.phases[0]))
 
 
 def _options(wanted: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
@@ -86,17 +86,17 @@ def _options(wanted: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
     return (wanted,), (1.0,)
 
 
-def _tool_site(
-    options: tuple[Any, ...], shares: tuple[float, ...], robot: RobotModel | None, sigma: float
-) -> ToolSite:
+def _reaching(
+    options: tuple[Any, ...], shares: tuple[float, ...], robot: RobotModel | None
+) -> Reaching:
     if robot is None:
         raise ValueError("goal is a region for a tool, but the primitive has no robot")
     if not all(isinstance(option, GoalRegion) for option in options):
         raise ValueError(f"goal must be regions for the tool or places of the path, got {options}")
-    return ToolSite(options, shares, robot, sigma)
+    return Reaching(options, robot, shares)
 
 
-def _place_site(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> PlaceSite:
+def _passing(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> Passing:
     options, shares = _options(wanted)
     for option in options:
         if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
@@ -105,7 +105,7 @@ def _place_site(name: str, phase: float, frame: Frame, wanted: Any, sigma: float
         _place(name, frame, option, share, sigma)
         for option, share in zip(options, shares, strict=True)
     ]
-    return PlaceSite(name, phase, tuple(places))
+    return Passing(name, phase, tuple(places))
 
 
 def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> Place:
@@ -137,7 +137,7 @@ def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> 
     return Place(box, None if point is None else frame.inwards(point), tolerance, share)
 
 
-def _refuse_contradiction(frame: Frame, first: PlaceSite, second: PlaceSite) -> None:
+def _refuse_contradiction(frame: Frame, first: Passing, second: Passing) -> None:
     if abs(first.phase - second.phase) > _SAME:
         return
     for a in first.places:
@@ -146,7 +146,7 @@ def _refuse_contradiction(frame: Frame, first: PlaceSite, second: PlaceSite) -> 
                 return
             if np.linalg.norm(a.point - b.point) <= a.tolerance + b.tolerance + _SAME:
                 return
-    points = [site.places[0].point for site in (first, second)]
+    points = [constraint.places[0].point for constraint in (first, second)]
     places = " and ".join(frame.named(p) for p in points if p is not None)
     raise ValueError(
         f"{first.name} and {second.name} contradict each other at phase {first.phase}: no path "

@@ -1,0 +1,204 @@
+"""The assessment of finished trajectories: exact checks, constraints, homotopy classes, order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from smp_gym.scene import Obstacle
+from smp_planner.planning.constraints import Reaching
+from smp_planner.planning.modes import signatures_2d, signatures_3d
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.problem import Problem
+from smp_planner.planning.ranking import rank
+from smp_planner.planning.settings import PlanSettings
+
+__all__ = ["Verdict", "assess", "free_waypoints", "make_plan", "signatures"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
+"""By how much, m, the middles of obstacles are moved for signatures: in a scene made by hand, a
+trajectory may lead right through one, where it has no side."""
+
+_SIGNATURE_SAMPLES = 50
+"""Samples of a path that decide its signature. Between them a hand moves by about 2 cm: finer ones
+cost more time, and class otherwise only what passes close to an edge or through an obstacle."""
+
+
+class Verdict(NamedTuple):
+    """What the exact check found of P trajectories; see `Plan` for the fields.
+
+    Attributes:
+        free: (P,).
+        clearance: (P,).
+        executable: (P,).
+        duration: (P,) s.
+        missed: (P,) by name of the constraint.
+        passing: (P,).
+    """
+
+    free: BoolArray
+    clearance: FloatArray
+    executable: BoolArray
+    duration: FloatArray
+    missed: dict[str, FloatArray]
+    passing: BoolArray
+
+    @property
+    def good(self) -> BoolArray:
+        """(P,) as `Plan.good`."""
+        return self.free & self.executable & self.passing
+
+
+def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> Verdict:
+    """Check trajectories (P, T, D): collisions stage by stage, limits, and constraints.
+
+    Args:
+        problem: to be solved.
+        trajectories: (P, T, D).
+        settings: limit of the duration, and what may be missed.
+    """
+    count = len(trajectories)
+    free, clearance = np.ones(count, np.bool_), np.full(count, np.inf)
+    body, whole = problem.body, False
+    for stage in problem.stages:
+        part = trajectories[:, stage.steps(trajectories.shape[1])]
+        found = stage.body.check(part, stage.obstacles, stage.cloud)
+        free, clearance = free & found.free, np.minimum(clearance, found.clearance)
+        whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
+    if not whole:
+        # With all that it carries in the end, the body must stay clear of itself, too.
+        free = free & body.check(trajectories, ()).free
+    executable, duration = body.execution(trajectories, settings.duration_limit)
+    missed, passing = {}, np.ones(count, np.bool_)
+    for constraint in problem.constraints:
+        value = constraint.missed(trajectories)
+        passing &= value <= constraint.slack(settings)
+        if constraint.cost(settings) is not None:
+            missed[constraint.name] = np.maximum(value, 0.0)
+    return Verdict(free, clearance, executable, duration, missed, passing)
+
+
+def make_plan(
+    problem: Problem,
+    trajectories: FloatArray,
+    costs: Mapping[str, FloatArray],
+    settings: PlanSettings,
+    *,
+    weights: FloatArray | None = None,
+    components: IntArray | None = None,
+    reason: str = "no particle is good",
+) -> Plan:
+    """Return the plan that trajectories amount to: checked and put in order.
+
+    Args:
+        problem: to be solved.
+        trajectories: (P, T, D).
+        costs: what is known already of each particle, each (P,), `prior` or `length` among them.
+        settings: see `assess`.
+        weights: (P, K, D) of the primitive, if there is one.
+        components: (P,), see `Plan`.
+        reason: what the plan's message begins with if no particle is good.
+    """
+    verdict = assess(problem, trajectories, settings)
+    message = ""
+    if not verdict.good.any():
+        message = (
+            f"{reason}: of {len(trajectories)} particles {int(verdict.free.sum())} are "
+            f"collision-free, {int(verdict.executable.sum())} executable, "
+            f"{int(verdict.passing.sum())} meet all constraints; the least bad one is chosen"
+        )
+    ranks = rank(
+        verdict.free,
+        verdict.passing,
+        verdict.executable,
+        verdict.clearance,
+        verdict.missed,
+        costs,
+    )
+    return Plan(
+        trajectories=trajectories,
+        costs=costs,
+        collision_free=verdict.free,
+        clearance=verdict.clearance,
+        missed=verdict.missed,
+        passing=verdict.passing,
+        duration=verdict.duration,
+        executable=verdict.executable,
+        ranks=ranks,
+        signatures=signatures(problem, trajectories),
+        weights=weights,
+        components=components,
+        message=message,
+    )
+
+
+def free_waypoints(problem: Problem, trajectories: FloatArray) -> BoolArray:
+    """Return (P, T) whether the configurations of trajectories (P, T, D) touch nothing."""
+    count = trajectories.shape[1]
+    free = np.ones(trajectories.shape[:2], np.bool_)
+    for stage in problem.stages:
+        steps = stage.steps(count)
+        free[:, steps] &= stage.body.free_waypoints(trajectories[:, steps], stage.obstacles)
+    return free
+
+
+def signatures(problem: Problem, trajectories: FloatArray) -> IntArray:
+    """Return the homotopy class (P, 1 + S) of trajectories (P, T, D), see `Plan.signatures`.
+
+    The path is that of the carried point. Trajectories with one goal are compared with each other,
+    for the signatures of different ends are not comparable. In space, over or under an obstacle is
+    what crosses the circle around its outline as seen from above.
+    """
+    movable = problem.movable
+    reaching = [c for c in problem.constraints if isinstance(c, Reaching)]
+    ends = np.zeros(len(trajectories), np.int64)
+    if reaching:
+        ends = reaching[0].distances(trajectories).argmin(axis=0)
+    last = trajectories.shape[1] - 1
+    steps = np.unique(
+        np.linspace(0, last, min(_SIGNATURE_SAMPLES, last + 1)).round().astype(np.int64)
+    )
+    passed: list[FloatArray] = [np.empty(0)] * len(trajectories)
+    for number in np.unique(ends):
+        of_goal = np.flatnonzero(ends == number)
+        point = reaching[0].goals[number].point if reaching else None
+        paths = problem.body.paths(trajectories[of_goal][:, steps], point)
+        for index, signature in zip(of_goal, _passing(paths, movable), strict=True):
+            passed[index] = signature
+    return np.column_stack([ends, np.array(passed)]).astype(np.int64)
+
+
+def _passing(paths: FloatArray, movable: tuple[Obstacle, ...]) -> IntArray:
+    """Return how paths (P, T, 2 or 3) pass obstacles, (P, S)."""
+    centers = np.array([o.position for o in movable]).reshape(-1, 3)
+    if not movable:
+        return np.empty((len(paths), 0), np.int64)
+    if paths.shape[-1] == 2:
+        return signatures_2d(paths, (centers + _ASIDE)[:, :2])
+    extents = np.array([_extents(o) for o in movable]).reshape(-1, 2)
+    found = signatures_3d(paths, centers + _ASIDE, extents[:, 1], extents[:, 0])
+    return found.reshape(len(paths), -1)
+
+
+def _extents(obstacle: Obstacle) -> tuple[float, float]:
+    """Return radius and half height, m, of an upright cylinder around an obstacle."""
+    rotation = Rotation.from_quat(obstacle.quaternion).as_matrix()
+    size = np.array(obstacle.size)
+    if obstacle.shape == "sphere":
+        return float(size[0]), float(size[0])
+    if obstacle.shape == "cylinder":
+        lean = float(np.hypot(*rotation[:2, 2]))
+        upright = float(abs(rotation[2, 2]))
+        return size[0] + lean * size[2], upright * size[2] + lean * size[0]
+    corners = np.array([(1.0, y, z) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) * size
+    turned = corners @ rotation.T
+    radius = np.linalg.norm(turned[:, :2], axis=1).max()
+    return float(radius), float(np.abs(turned[:, 2]).max())

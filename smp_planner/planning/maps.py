@@ -1,0 +1,94 @@
+"""Distance maps of a scene: its obstacles themselves, or the paper's networks, as grids."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smp_gym.scene import Obstacle
+from smp_planner.occupancy.analytic import PackedObstacles
+from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, bake, bake_analytic
+from smp_planner.occupancy.neural import (
+    INFLATION,
+    PointNetworkMap,
+    sample_labelled_points,
+    train_map,
+)
+from smp_planner.occupancy.occupancy_map import OccupancyMap
+from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
+from smp_planner.planning.settings import PlanSettings
+
+__all__ = ["WORKSPACE", "SceneMaps", "Workspace", "around_both", "lowered"]
+
+Workspace = tuple[tuple[float, ...], tuple[float, ...]]
+"""Lower and upper corner of a box, m (extents for paths in the plane or in space)."""
+
+
+def around_both(first: Workspace, second: Workspace) -> Workspace:
+    """Return the smallest box around two."""
+    lower, upper = np.minimum(first[0], second[0]), np.maximum(first[1], second[1])
+    return tuple(lower.tolist()), tuple(upper.tolist())
+
+
+class SceneMaps:
+    """The distance maps of one problem, each made once.
+
+    Args:
+        settings: kind of map, and how a network is trained.
+        seed: of points and training.
+    """
+
+    def __init__(self, settings: PlanSettings, seed: int) -> None:
+        self._settings, self._seed = settings, seed
+        self._made: dict[tuple[tuple[Obstacle, ...], Workspace], DistanceGrid | None] = {}
+
+    @property
+    def exact(self) -> bool:
+        """Whether the obstacles themselves are asked."""
+        return self._settings.map == "exact"
+
+    def grid(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid | None:
+        """Return the distance to obstacles over a workspace.
+
+        Args:
+            obstacles: in coordinates in which 1 is about the size of the scene: m, or extents.
+            workspace: box that the grid covers.
+
+        Returns:
+            The map; None if a network is to be trained and no obstacle reaches into the workspace.
+        """
+        key = obstacles, workspace
+        if key not in self._made:
+            self._made[key] = self._make(obstacles, workspace)
+        return self._made[key]
+
+    def _make(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid | None:
+        settings = self._settings
+        if settings.map == "exact":
+            return bake_analytic(obstacles, workspace)
+        if settings.map == "shapes":
+            return bake(ShapeNetworkMap(obstacles, default_networks()), workspace)
+        packed = PackedObstacles.of(obstacles)
+        lower, upper = np.asarray(workspace[0]), np.asarray(workspace[1])
+        around = packed.half_extents + INFLATION
+        inside = (packed.position - around < upper) & (packed.position + around > lower)
+        if not inside.all(axis=1).any():
+            return None
+        rng = np.random.default_rng([self._seed, 2])
+        points, labels = sample_labelled_points(
+            obstacles, settings.map_points, rng, workspace=workspace
+        )
+        network = train_map(
+            points,
+            labels,
+            inflation=INFLATION,
+            steps=settings.map_steps,
+            seed=self._seed % 2**63,
+        )
+        return PointNetworkMap.of(network, workspace).grid
+
+
+def lowered(grid: DistanceGrid, other: OccupancyMap) -> DistanceGrid:
+    """Return a grid that knows of what another map knows, too, as far as it reaches."""
+    values = grid.values.copy()
+    other.fill(values, grid.origin, grid.spacing)
+    return DistanceGrid(grid.origin, grid.spacing, values)

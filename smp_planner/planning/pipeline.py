@@ -1,0 +1,316 @@
+"""The pipeline from problems to plans, Algorithm 1: condition, draw, adapt, assess, try again.
+
+Robots and paths of one's own go through it alike; they differ in how a `Problem` is made. Problems
+are planned in batches: particles that have equally many directions and are equally many in number
+are adapted together, with a leading dimension for each run of them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from smp_gym.robot.kinematics import UnreachableError
+from smp_planner.adaptation import Adaptation, Runs
+from smp_planner.movement_primitives import ProMP
+from smp_planner.movement_primitives.mixture import shared_out
+from smp_planner.planning.assessment import assess, make_plan
+from smp_planner.planning.constraints import Constraint
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.prior import Prior
+from smp_planner.planning.problem import Problem
+from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.target import SceneTarget, TargetBatch
+
+__all__ = [
+    "Part",
+    "Stopwatch",
+    "condition",
+    "conditioned_parts",
+    "one_thread",
+    "plan_problems",
+]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep torch to one thread: its matrices are small here, and waking others costs more."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+class Stopwatch:
+    """Seconds of the stages of a plan by name, in order."""
+
+    def __init__(self) -> None:
+        self.timings: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to a stage."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(name, time.perf_counter() - begin)
+
+    def add(self, name: str, seconds: float) -> None:
+        """Add seconds to a stage."""
+        self.timings[name] = self.timings.get(name, 0.0) + seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The particles of a plan that have one prior: a component, conditioned on one option of each
+    constraint.
+
+    Attributes:
+        component: index of the component.
+        branch: number of the combination of options within the component.
+        primitive: the component, conditioned.
+        latent: (P_c, r) particles in its whitened coordinates.
+    """
+
+    component: int
+    branch: int
+    primitive: ProMP
+    latent: Tensor
+
+
+def condition(
+    primitive: ProMP, constraints: Sequence[Constraint], settings: PlanSettings
+) -> list[tuple[ProMP, float]]:
+    """Return what a primitive becomes when it is conditioned on constraints, in closed form.
+
+    The posterior of a Gaussian and a mixture of places is a mixture: one branch for each choice of
+    options, its share π_h times the density of the place under the primitive. Branches that would
+    get no particle are left out.
+
+    Args:
+        primitive: the prior.
+        constraints: in the order in which they are conditioned on.
+        settings: their widths, and how many particles will be shared out.
+
+    Returns:
+        Posteriors with their shares, which need not sum to one.
+
+    Raises:
+        UnreachableError: a pose or all goal regions are out of reach.
+    """
+    found = [(primitive, 0.0)]
+    for constraint in constraints:
+        grown = [
+            (conditioned, weight + evidence)
+            for tied, weight in found
+            for conditioned, evidence in constraint.condition(tied, settings)
+        ]
+        best = max(weight for _, weight in grown)
+        found = [
+            (tied, weight - best)
+            for tied, weight in grown
+            if weight - best > -math.log(2.0 * settings.particles)
+        ]
+    return [(tied, math.exp(weight)) for tied, weight in found]
+
+
+def conditioned_parts(
+    prior: Prior, problem: Problem, settings: PlanSettings, width: float = 1.0
+) -> list[Part]:
+    """Return P draws of the prior, conditioned on the constraints of a problem.
+
+    Each component of the prior has its share of the particles; one that reaches no goal gets none,
+    and the others share them out.
+
+    Args:
+        prior: learned from demonstrations.
+        problem: to be solved.
+        settings: number of particles, and whether constraints are conditioned on.
+        width: factor of the prior's added freedom, at least 1.
+
+    Raises:
+        UnreachableError: no component reaches a goal.
+    """
+    constraints = problem.constraints if settings.modulation == "exact" else ()
+    tied: dict[int, list[tuple[ProMP, float]]] = {}
+    unreachable: UnreachableError | None = None
+    for index, component in enumerate(prior.components(width)):
+        try:
+            tied[index] = condition(component, constraints, settings)
+        except UnreachableError as error:
+            unreachable = error
+    if not tied:
+        assert unreachable is not None
+        raise unreachable
+    shares = [float(prior.used.shares[index]) for index in tied]
+    rng = np.random.default_rng(problem.seed)
+    parts = []
+    for (index, branches), count in zip(
+        tied.items(), shared_out(settings.particles, shares), strict=True
+    ):
+        counts = shared_out(count, [share for _, share in branches])
+        for number, ((primitive, _), drawn) in enumerate(zip(branches, counts, strict=True)):
+            if drawn:
+                latent = torch.from_numpy(rng.standard_normal((drawn, primitive.rank)))
+                parts.append(Part(index, number, primitive, latent))
+    return parts
+
+
+@dataclass(eq=False)
+class _Attempt:
+    """A problem on its way to a plan."""
+
+    problem: Problem
+    stopwatch: Stopwatch = field(default_factory=Stopwatch)
+    target: SceneTarget | None = None
+    parts: list[Part] = field(default_factory=list)
+    best: Plan | None = None
+    done: bool = False
+
+
+def plan_problems(
+    problems: Sequence[Problem],
+    prior: Prior,
+    adaptation: Adaptation,
+    settings: PlanSettings,
+) -> list[Plan]:
+    """Return one plan for each problem; the same problem gives the same plan.
+
+    A problem without a good particle is tried again with twice the added freedom, as often as
+    `PlanSettings.retries` says; of tries that all fail, the first has the demonstrations' own
+    freedom and is taken. What is not adapted is not tried again.
+
+    Args:
+        problems: to be solved.
+        prior: learned from demonstrations.
+        adaptation: how draws of the prior are carried to the problems.
+        settings: map, costs and number of tries.
+
+    Raises:
+        UnreachableError: a goal is out of reach.
+    """
+    attempts = [_Attempt(problem) for problem in problems]
+    tries = settings.retries + 1 if adaptation.adapt is not None else 1
+    with one_thread():
+        for number in range(tries):
+            open_ = [attempt for attempt in attempts if not attempt.done]
+            for attempt in open_:
+                _draw(attempt, prior, adaptation, settings, 2.0**number)
+            open_ = [attempt for attempt in open_ if not attempt.done]
+            _adapt(open_, adaptation, settings)
+            for attempt in open_:
+                plan = _plan_of(attempt, prior, settings)
+                if attempt.best is None or plan.good.any():
+                    attempt.best = plan
+                attempt.done = bool(attempt.best.good.any())
+    plans = []
+    for attempt in attempts:
+        assert attempt.best is not None
+        plans.append(replace(attempt.best, timings=attempt.stopwatch.timings))
+    return plans
+
+
+def _draw(
+    attempt: _Attempt, prior: Prior, adaptation: Adaptation, settings: PlanSettings, width: float
+) -> None:
+    """Make the target and draw the particles of one attempt."""
+    if adaptation.adapt is not None and attempt.target is None:
+        with attempt.stopwatch.stage("map"):
+            attempt.target = SceneTarget(attempt.problem, settings)
+    with attempt.stopwatch.stage("conditioning"):
+        try:
+            attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
+        except UnreachableError:
+            # So wide a primitive may be led astray from a goal that it reached before.
+            if attempt.best is None:
+                raise
+            attempt.done = True
+
+
+def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings) -> None:
+    """Carry the particles of attempts to their targets, equal parts together."""
+    if adaptation.adapt is None:
+        return
+    groups: dict[tuple[int, ...], list[tuple[_Attempt, int]]] = {}
+    for attempt in attempts:
+        for index, part in enumerate(attempt.parts):
+            groups.setdefault(tuple(part.latent.shape), []).append((attempt, index))
+    for group in groups.values():
+        begin = time.perf_counter()
+        parts = [attempt.parts[index] for attempt, index in group]
+        targets = [attempt.target for attempt, _ in group]
+        runs = Runs.of([part.primitive for part in parts], settings.planning_steps)
+        rngs = [
+            np.random.default_rng([attempt.problem.seed, 3, part.component, part.branch])
+            for (attempt, _), part in zip(group, parts, strict=True)
+        ]
+
+        def good(
+            latent: Tensor, runs: Runs = runs, group: list[tuple[_Attempt, int]] = group
+        ) -> BoolArray:
+            weights = runs.unwhiten(latent)
+            return np.stack(
+                [
+                    assess(
+                        attempt.problem,
+                        primitive.trajectory(w, settings.samples).numpy(),
+                        settings,
+                    ).good
+                    for (attempt, _), primitive, w in zip(
+                        group, runs.primitives, weights, strict=True
+                    )
+                ]
+            )
+
+        latent = adaptation.adapt(
+            runs,
+            torch.stack([part.latent for part in parts]),
+            TargetBatch([target for target in targets if target is not None]),
+            rngs,
+            adaptation.settings,
+            good,
+        )
+        seconds = (time.perf_counter() - begin) / len(group)
+        for (attempt, index), adapted in zip(group, latent, strict=True):
+            attempt.parts[index] = replace(attempt.parts[index], latent=adapted)
+            attempt.stopwatch.add("inference", seconds)
+
+
+def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
+    """Return the plan that the particles of one attempt amount to."""
+    parts, primitive = attempt.parts, prior.single
+    weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
+    distance = torch.cat([0.5 * part.latent.square().sum(-1) for part in parts])
+    costs = {"prior": distance.numpy()}
+    if attempt.target is not None:
+        with attempt.stopwatch.stage("inference"):
+            planned = primitive.trajectory(weights, settings.planning_steps).numpy()
+            costs |= attempt.target.costs(planned)
+    components = None
+    if len(prior.used.components) > 1:
+        components = np.repeat(
+            [part.component for part in parts], [len(part.latent) for part in parts]
+        )
+    with attempt.stopwatch.stage("verification"):
+        return make_plan(
+            attempt.problem,
+            primitive.trajectory(weights, settings.samples).numpy(),
+            costs,
+            settings,
+            weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
+            components=components,
+        )

@@ -1,0 +1,127 @@
+"""What a planner answers: `Plan`, a set of particles and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.planning.modes import Modes, best_of_each, group
+
+__all__ = ["Plan"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """A set of P particles, each a whole trajectory, and what is known of each.
+
+    Lengths are m and coordinates rad for a robot; for paths of one's own both are in the unit of
+    the demonstrations.
+
+    Attributes:
+        trajectories: (P, T, D), at equal steps of phase.
+        costs: unweighted cost of each particle by name, each (P,); `prior` is -log p(w) but for a
+            constant, given what was conditioned on.
+        collision_free: (P,) whether an exact check of the whole trajectory finds no collision; of
+            a point cloud as far as the map that was learned of it knows, and whether the
+            trajectory stays where it does.
+        clearance: (P,) least distance to an obstacle, negative inside; infinity without any. What
+            is farther from a point cloud than 0.15 (m, or extents) is said to be that far.
+        missed: by how much (P,) each constraint is missed by its name ("start", "goal",
+            "via_points"); 0 within a box or tolerance.
+        passing: (P,) whether all constraints are met.
+        duration: (P,) s, shortest execution within the joint velocity limits; NaN without a robot.
+        executable: (P,) whether joint limits hold and `duration` is within the planner's limit.
+        ranks: (P,) place of each in the order in which the planner prefers them, 0 the best.
+        signatures: (P, 1 + S) homotopy class of each: the index of the goal region that it ends
+            nearest to (0 where there is none), then how it passes each of `Problem.movable`: its
+            winding in the plane, winding and level in space (`planning.modes`).
+        weights: (P, K, D) weights of the primitive; None of a planner that has none.
+        components: (P,) index of the component of the prior that each particle belongs to; None
+            where there is but one.
+        timings: seconds of each stage of planning by name, in order.
+        message: empty, or why no particle is good.
+        display: what `plot` draws beside the trajectories, by name.
+        tool_paths: (P, T, 3) m, the paths of a robot's tool, where they were asked for.
+    """
+
+    trajectories: FloatArray
+    costs: Mapping[str, FloatArray]
+    collision_free: BoolArray
+    clearance: FloatArray
+    missed: Mapping[str, FloatArray]
+    passing: BoolArray
+    duration: FloatArray
+    executable: BoolArray
+    ranks: IntArray
+    signatures: IntArray
+    weights: FloatArray | None = None
+    components: IntArray | None = None
+    timings: Mapping[str, float] = field(default_factory=dict)
+    message: str = ""
+    display: Mapping[str, Any] = field(default_factory=dict)
+    tool_paths: FloatArray | None = None
+
+    def __repr__(self) -> str:
+        """Return a line without the arrays."""
+        count, steps, dimension = self.trajectories.shape
+        return (
+            f"Plan({count} particles of {steps} x {dimension}, {int(self.good.sum())} good, "
+            f"chosen {self.chosen}, {self.planning_time:.2f} s)"
+        )
+
+    @property
+    def chosen(self) -> int:
+        """Index of the particle to execute, the best."""
+        return int(self.ranks.argmin())
+
+    @property
+    def best(self) -> FloatArray:
+        """(T, D) trajectory of the chosen particle."""
+        return np.asarray(self.trajectories[self.chosen])
+
+    @property
+    def good(self) -> BoolArray:
+        """(P,) whether a particle is collision-free, executable and meets all constraints."""
+        return self.collision_free & self.executable & self.passing
+
+    @property
+    def goal_error(self) -> FloatArray:
+        """(P,) distance of the end to the nearest goal region; 0 inside, or without a goal."""
+        return np.asarray(self.missed.get("goal", np.zeros(len(self.trajectories))))
+
+    @property
+    def modes(self) -> Modes:
+        """Homotopy classes of the good particles, labels in their order; none if none is good."""
+        good = self.signatures[self.good]
+        if len(good) == 0:
+            return Modes(good, np.empty(0, np.int64), np.empty(0))
+        return group(good)
+
+    @property
+    def best_of_modes(self) -> IntArray:
+        """(C,) index of the best good particle of each of `modes`."""
+        good = np.flatnonzero(self.good)
+        return good[best_of_each(self.modes, self.ranks[good])]
+
+    @property
+    def planning_time(self) -> float:
+        """Seconds of all stages together."""
+        return float(sum(self.timings.values()))
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw paths in the plane into matplotlib axes, by default new ones, and return these.
+
+        Raises:
+            ValueError: the trajectories are not in the plane.
+        """
+        from smp_planner.planning.plotting import draw_plan
+
+        return draw_plan(self, axes)

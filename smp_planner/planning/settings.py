@@ -1,0 +1,88 @@
+"""Settings of the planning pipeline: the prior that is learned, and the costs it is adapted to."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["PlanSettings", "PriorSettings"]
+
+
+class PriorSettings(BaseModel):
+    """How a primitive is learned from demonstrations.
+
+    Lengths are rad for a robot, and extents of the demonstrations for paths in the plane or in
+    space (`smp_planner.library.frame`).
+
+    Attributes:
+        smooth_std: freedom added to what the demonstrations teach; see `ProMP.fit`.
+        smooth_length_scale: of that freedom, l in phase. Trajectories come out smoother than their
+            weights: away from the ends as if it were sqrt(l^2 + 2 / (K - 3)^2).
+        basis_functions: K of the primitive, 1 / (K - 3) of the phase apart.
+        modes: how many groups the demonstrations fall into; None lets them decide
+            (`demonstrated_modes`).
+        nan_is_missing: whether NaN stands for a number that was not measured; see `ProMP.fit`.
+        per_component: whether each mode of the demonstrations is a component of the prior that is
+            adapted on its own, with its share of the particles; if not, one Gaussian is learned
+            from all of them, as the paper's baselines have it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    smooth_std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    basis_functions: int = Field(default=15, ge=4)
+    modes: int | None = Field(default=None, ge=1)
+    nan_is_missing: bool = False
+    per_component: bool = True
+
+
+class PlanSettings(BaseModel):
+    """Map, costs and number of tries of a plan.
+
+    Lengths are m for a robot, and extents for paths in the plane or in space.
+
+    Attributes:
+        particles: P, size of the set.
+        samples: T of the trajectories in a plan.
+        map: "exact" asks the obstacles themselves; "shapes" composes networks trained once per
+            obstacle shape; "points" trains one network from labelled points of the scene, the
+            paper's way (Eq. (12)), which takes seconds.
+        map_points: how many points "points" learns from.
+        map_steps: of that training.
+        planning_steps: steps of phase at which costs are evaluated.
+        obstacle_weight: λ of Eq. (12), for sums scaled to `costs.REFERENCE_STEPS` steps.
+        self_collision_weight: λ of the same cost between a robot's own links.
+        margin: by which spheres are enlarged while planning.
+        edge_width: width of the map's edge in the first and the last iteration.
+        sigma: tails of the boxes of goals and via-points, Eq. (13) and (14); what misses its place
+            by no more has reached it.
+        modulation: "exact" conditions the primitive in closed form on what the constraints allow,
+            before costs narrow it down; "likelihood" leaves all to the costs, the paper's way.
+        via_share: half width of the box around a tool's via-point, as a share of its tolerance.
+        velocity_weight: of the excess over the joint velocity limits.
+        limit_weight: of the excess over the joint limits.
+        duration_limit: s, within which an executable trajectory must be feasible.
+        retries: how often a problem without a good particle is tried again with twice the freedom.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    particles: int = Field(default=42, ge=1)
+    samples: int = Field(default=200, ge=2)
+    map: Literal["exact", "shapes", "points"] = "shapes"
+    map_points: int = Field(default=100_000, ge=100)
+    map_steps: int = Field(default=5000, ge=1)
+    planning_steps: int = Field(default=50, ge=10)
+    obstacle_weight: float = Field(default=3.0, gt=0.0, allow_inf_nan=False)
+    self_collision_weight: float = Field(default=3.0, ge=0.0, allow_inf_nan=False)
+    margin: float = Field(default=0.01, ge=0.0, allow_inf_nan=False)
+    edge_width: tuple[float, float] = (0.05, 0.01)
+    sigma: float = Field(default=0.005, gt=0.0, allow_inf_nan=False)
+    modulation: Literal["exact", "likelihood"] = "exact"
+    via_share: float = Field(default=0.5, ge=0.0, le=1.0)
+    velocity_weight: float = Field(default=10.0, ge=0.0, allow_inf_nan=False)
+    limit_weight: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
+    duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
+    retries: int = Field(default=1, ge=0)

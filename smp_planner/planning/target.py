@@ -1,0 +1,135 @@
+"""What a prior is adapted to: the weighted costs of a problem, Eq. (7), and of a batch of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from smp_planner.collision.costs import Cost, ValueAndGradient, steps_scale
+from smp_planner.planning.bodies import ObstacleCost
+from smp_planner.planning.maps import SceneMaps
+from smp_planner.planning.problem import Problem, Stage
+from smp_planner.planning.settings import PlanSettings
+
+__all__ = ["SceneTarget", "TargetBatch"]
+
+FloatArray = NDArray[np.float64]
+
+
+class SceneTarget:
+    """The costs of one problem with their weights, -log p(O|w) of Eq. (7).
+
+    Args:
+        problem: gives obstacles and constraints.
+        settings: weights and widths.
+        extra: further costs by name with their weights, functions of trajectories (P, T, D).
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: PlanSettings,
+        extra: dict[str, tuple[float, Cost]] | None = None,
+    ) -> None:
+        self.problem, self.settings = problem, settings
+        self._stages: list[tuple[Stage, ObstacleCost]] = []
+        maps = SceneMaps(settings, problem.seed)
+        for stage in problem.stages:
+            cost = stage.body.obstacle_cost(stage.obstacles, stage.cloud, maps)
+            if cost is not None:
+                self._stages.append((stage, cost))
+        terms = problem.body.limit_costs(settings)
+        for constraint in problem.constraints:
+            pull = constraint.cost(settings)
+            if pull is not None:
+                terms[constraint.name] = 1.0, pull
+        terms |= extra or {}
+        self._terms = {name: term for name, term in terms.items() if term[0] > 0.0}
+
+    @property
+    def steps(self) -> int:
+        """Equal steps of phase at which it is evaluated."""
+        return self.settings.planning_steps
+
+    @property
+    def pins(self) -> FloatArray:
+        """Phases at which trajectories are held, ascending."""
+        return self.problem.pins
+
+    def gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
+        """Return the gradient (P, T, D) of the weighted sum of costs.
+
+        Args:
+            trajectories: (P, T, D).
+            progress: 0 in the first iteration to 1 in the last; narrows the map's edge.
+        """
+        gradient = self.settings.obstacle_weight * self.obstacle_gradient(trajectories, progress)
+        for weight, cost in self._terms.values():
+            gradient += weight * cost(trajectories)[1]
+        return gradient
+
+    def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
+        """Return the gradient (P, T, D) of the collision cost alone, unweighted, as `gradient`."""
+        first, last = self.settings.edge_width
+        width = first * (last / first) ** progress
+        return self._collision(trajectories, width, self.settings.margin)[1]
+
+    def weighted_sum(self, trajectories: FloatArray) -> FloatArray:
+        """Return the weighted sum (P,) of costs, with the map's edge at its last width."""
+        width, margin = self.settings.edge_width[1], self.settings.margin
+        total = self.settings.obstacle_weight * self._collision(trajectories, width, margin)[0]
+        for weight, cost in self._terms.values():
+            total = total + weight * cost(trajectories)[0]
+        return total
+
+    def costs(self, trajectories: FloatArray) -> dict[str, FloatArray]:
+        """Return the unweighted costs (P,) by name, with the map's edge at its last width."""
+        costs = {"obstacles": self._collision(trajectories, self.settings.edge_width[1], 0.0)[0]}
+        return costs | {name: cost(trajectories)[0] for name, (_, cost) in self._terms.items()}
+
+    def _collision(self, trajectories: FloatArray, width: float, margin: float) -> ValueAndGradient:
+        """Return the collision cost (P,) of all stages and its gradient (P, T, D)."""
+        count = trajectories.shape[1]
+        value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
+        for stage, cost in self._stages:
+            steps = stage.steps(count)
+            part = trajectories[:, steps]
+            # A cost is scaled to a number of steps: a stage has its share of them.
+            share = steps_scale(count) / steps_scale(part.shape[1])
+            of_stage, slope = cost(part, width, margin)
+            value += share * of_stage
+            gradient[:, steps] += share * slope
+        return value, gradient
+
+
+class TargetBatch:
+    """The targets of B problems, evaluated together.
+
+    Args:
+        scenes: B targets of equal numbers of steps.
+    """
+
+    def __init__(self, scenes: Sequence[SceneTarget]) -> None:
+        self.scenes = tuple(scenes)
+
+    @property
+    def steps(self) -> int:
+        """T, equal steps of phase at which it is evaluated."""
+        return self.scenes[0].steps
+
+    def gradient(self, trajectories: Tensor, progress: float) -> Tensor:
+        """Return the gradient (B, P, T, D) of the weighted sums of costs.
+
+        Args:
+            trajectories: (B, P, T, D).
+            progress: see `SceneTarget.gradient`.
+        """
+        found = [
+            scene.gradient(paths.numpy(), progress)
+            for scene, paths in zip(self.scenes, trajectories, strict=True)
+        ]
+        return torch.from_numpy(found[0][None] if len(found) == 1 else np.stack(found))

@@ -1,0 +1,110 @@
+"""Regions, via-points and via-poses of a robot's tool, as data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_planner.movement_primitives.box_prior import box_offset
+
+__all__ = ["GoalRegion", "ToolViaPoint", "ViaPose", "checked_array"]
+
+FloatArray = NDArray[np.float64]
+
+
+def checked_array(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return a finite float64 array of a shape.
+
+    Raises:
+        ValueError: another shape, or not finite.
+    """
+    array = np.asarray(value, np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array}")
+    return array
+
+
+def _checked_phase(name: str, phase: float) -> None:
+    if not 0.0 <= phase <= 1.0:
+        raise ValueError(f"{name}.phase must lie in [0, 1], got {phase}")
+
+
+@dataclass(frozen=True)
+class GoalRegion:
+    """A box in which a point carried by the hand must be when the trajectory ends.
+
+    Attributes:
+        point: (3,) m, fixed in the end-effector frame (for Placement, the object's centre).
+        lower: (3,) m, lower corner of the box in the base frame.
+        upper: (3,) m, upper corner.
+    """
+
+    point: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("point", "lower", "upper"):
+            value = checked_array(f"GoalRegion.{name}", getattr(self, name), (3,))
+            object.__setattr__(self, name, value)
+        if not (self.lower <= self.upper).all():
+            raise ValueError(f"GoalRegion.lower {self.lower} must not exceed upper {self.upper}")
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) m, middle of the box."""
+        return (self.lower + self.upper) / 2
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return the distance (...) m of points (..., 3) to the box; 0 inside."""
+        outside = box_offset(points, self.lower, self.upper)
+        return np.asarray(np.linalg.norm(outside, axis=-1))
+
+
+@dataclass(frozen=True)
+class ViaPose:
+    """A pose that the hand must take at a phase.
+
+    Attributes:
+        phase: in [0, 1].
+        pose: (4, 4) of the end effector in the base frame.
+        rest: whether the arm stands still there.
+    """
+
+    phase: float
+    pose: FloatArray
+    rest: bool = False
+
+    def __post_init__(self) -> None:
+        _checked_phase("ViaPose", self.phase)
+        object.__setattr__(self, "pose", checked_array("ViaPose.pose", self.pose, (4, 4)))
+
+
+@dataclass(frozen=True)
+class ToolViaPoint:
+    """A place that a point carried by the hand must pass at about a phase.
+
+    Attributes:
+        phase: in [0, 1].
+        point: (3,) m, fixed in the end-effector frame (for DrawS, the pen's tip).
+        position: (3,) m, of the place in the base frame.
+        tolerance: m, how near the point must come.
+    """
+
+    phase: float
+    point: FloatArray
+    position: FloatArray
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        for name in ("point", "position"):
+            value = checked_array(f"ToolViaPoint.{name}", getattr(self, name), (3,))
+            object.__setattr__(self, name, value)
+        _checked_phase("ToolViaPoint", self.phase)
+        if not self.tolerance > 0.0:
+            raise ValueError(f"ToolViaPoint.tolerance must be positive, got {self.tolerance}")
