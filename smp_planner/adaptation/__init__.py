@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -31,6 +32,7 @@ __all__ = [
     "Target",
     "Unadapted",
     "VariationalSettings",
+    "adaptation",
 ]
 
 
@@ -63,3 +65,19 @@ ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
 )
 """By name of the method, with default settings: Stein Movement Primitives, conditioning alone
 (Sec. III-A), and the paper's baselines CProMPs, ProMPT-O and ProMPs-Diff."""
+
+
+def adaptation(name: str, **settings: Any) -> Adaptation:
+    """Return one of `ADAPTATIONS` with settings of its own.
+
+    Args:
+        name: of the method.
+        **settings: by name; the rest keep their defaults.
+
+    Raises:
+        ValueError: unknown name or setting, or a setting out of range.
+    """
+    if name not in ADAPTATIONS:
+        raise ValueError(f"method must be one of {', '.join(ADAPTATIONS)}; got {name!r}")
+    known = ADAPTATIONS[name]
+    return Adaptation(type(known.settings).model_validate(settings), known.adapt)

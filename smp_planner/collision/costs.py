@@ -103,8 +103,8 @@ class CollisionCost:
 
     The map is asked at every sphere that moves: p = sigma(-(d - r - margin) / edge_width) with d
     the distance of the centre to the nearest obstacle and r the radius. Summed is p^2 less the
-    value that it has where the map is cut off or `CUTOFF_WIDTHS` edge widths away, whichever is nearer: a
-    sphere far from everything costs exactly nothing, and nothing is computed for it.
+    value that it has where the map is cut off or `CUTOFF_WIDTHS` edge widths away, whichever is
+    nearer: a sphere far from everything costs exactly nothing, and nothing is computed for it.
 
     Attributes:
         robot: the arm and what it carries; spheres on link 0 do not move and are left out.
@@ -173,7 +173,8 @@ class SelfCollisionCost:
     """Squared occupancy of the arm's spheres by one another, in the manner of Eq. (12).
 
     For each pair of `RobotModel.collision_pairs`, p = sigma(-(gap - margin) / edge_width) with the
-    gap between the two surfaces; p^2, less its value at `margin` + `CUTOFF_WIDTHS` edge widths, is summed.
+    gap between the two surfaces; p^2, less its value at `margin` + `CUTOFF_WIDTHS` edge widths, is
+    summed.
 
     Attributes:
         robot: the arm and what it carries.
@@ -189,8 +190,8 @@ class SelfCollisionCost:
         _positive("edge_width", self.edge_width)
         if not (math.isfinite(self.margin) and self.margin > -CUTOFF_WIDTHS * self.edge_width):
             raise ValueError(
-                f"margin must be above {-CUTOFF_WIDTHS * self.edge_width} (minus {CUTOFF_WIDTHS} edge widths), "
-                f"got {self.margin}"
+                f"margin must be above {-CUTOFF_WIDTHS * self.edge_width} (minus {CUTOFF_WIDTHS} "
+                f"edge widths), got {self.margin}"
             )
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:

@@ -100,7 +100,7 @@ def box_row(
         goal=goal,
         particles=particles,
         seed=seed,
-        method=method.way,
+        method=method.adaptation,
         settings=method.settings,
     ).trajectories
     return {

@@ -12,7 +12,7 @@ from smp_planner.benchmark.metrics import log_dimensionless_jerk, path_lengths
 from smp_planner.experiments.lasa_scenes import LasaScene, Method
 from smp_planner.experiments.paths import classes, clearances, similarity
 from smp_planner.experiments.tables import Column
-from smp_planner.library.smp import SMP, PathPlan
+from smp_planner.library.smp import SMP, Plan
 from smp_planner.planning.modes import group
 
 __all__ = [
@@ -55,7 +55,7 @@ FloatArray = NDArray[np.float64]
 
 def adapted(
     primitive: SMP, scene: LasaScene, method: Method, particles: int, seed: int
-) -> PathPlan:
+) -> Plan:
     """Return a scene's plan by a method.
 
     Args:
@@ -71,7 +71,7 @@ def adapted(
         via_points=scene.via_points,
         particles=particles,
         seed=seed,
-        method=method.way,
+        method=method.adaptation,
         settings=method.settings,
     )
 
@@ -119,7 +119,7 @@ def noise_floor_row(
 
 
 def _drawn(primitive: SMP, count: int, seed: int) -> FloatArray:
-    return primitive.adapt(particles=count, seed=seed, method=None).trajectories
+    return primitive.adapt(particles=count, seed=seed, method="promp").trajectories
 
 
 def common_ends(primitive: SMP) -> FloatArray:

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from smp_planner.adaptation import Adaptation, Flow, GaussianVI, OptimisedMean, Stein
+from smp_planner.adaptation import Adaptation, adaptation
 from smp_planner.experiments import lasa
 from smp_planner.library.smp import SMP, AdaptSettings, AnyOf, Circle, ViaPoint
 
@@ -55,14 +55,14 @@ class LasaScene:
 
 @dataclass(frozen=True)
 class Method:
-    """A way to adapt and what it adapts to.
+    """An adaptation and what it adapts to.
 
     Attributes:
-        way: None only conditions.
+        adaptation: with its settings.
         settings: of map and costs; lengths in extents of the demonstrations.
     """
 
-    way: Adaptation | None
+    adaptation: Adaptation
     settings: AdaptSettings
 
 
@@ -120,14 +120,16 @@ def settings(
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
-        "promp": Method(None, settings()),
-        "smp": Method(Stein(), settings(weight=1.0)),
+        "promp": Method(adaptation("promp"), settings()),
+        "smp": Method(adaptation("smp"), settings(weight=1.0)),
         "promp_diff": Method(
-            Flow(iterations=1000, flow_time=0.002, longest_move=0.004, fit_std=0.0025),
+            adaptation(
+                "promp_diff", iterations=1000, flow_time=0.002, longest_move=0.004, fit_std=0.0025
+            ),
             settings(margin=0.18, edge_width=(0.1, 0.01)),
         ),
-        "cpromp": Method(GaussianVI(iterations=400), settings(weight=30.0)),
-        "prompt_o": Method(OptimisedMean(), settings(weight=100.0, margin=0.12)),
+        "cpromp": Method(adaptation("cpromp", iterations=400), settings(weight=30.0)),
+        "prompt_o": Method(adaptation("prompt_o"), settings(weight=100.0, margin=0.12)),
     }
 )
 """Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column
-from smp_planner.library.smp import AnyOf, PathPlan, ViaPoint
+from smp_planner.library.smp import AnyOf, Plan, ViaPoint
 
 __all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulation_row", "passed_via_points"]
 
@@ -32,7 +32,7 @@ BoolArray = NDArray[np.bool_]
 
 
 def modulation_row(
-    name: str, method: str, scene: LasaScene, plan: PathPlan, seed: int
+    name: str, method: str, scene: LasaScene, plan: Plan, seed: int
 ) -> dict[str, str | float | None]:
     """Return what of a plan's paths is as wanted.
 

@@ -20,7 +20,7 @@ from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.experiments.paths import clearances, diversity, total_variation
 from smp_planner.experiments.tables import Column
 from smp_planner.inference.smc import SMCSettings, sample_posterior
-from smp_planner.library.point import Ball, exact_map
+from smp_planner.planning.bodies import Ball, exact_map
 from smp_planner.library.shapes import bodies
 from smp_planner.library.smp import SMP, AdaptSettings
 from smp_planner.movement_primitives import phases

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adaptation import Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted, common_ends, reference_of
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
@@ -120,7 +120,7 @@ class Ground:
             every = len(self.posterior.paths)
             paths = self.posterior.paths[rng.choice(every, particles, replace=False)]
         else:
-            method = Method(Stein(inference=setting), _SETTINGS)
+            method = Method(adaptation("smp", inference=setting), _SETTINGS)
             paths = adapted(
                 self.primitive, self.variant.scene, method, particles, seed
             ).trajectories

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adaptation import Flow, GaussianVI, OptimisedMean, Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.benchmark.metrics import resample, wasserstein
 from smp_planner.experiments.comparison import adapted
 from smp_planner.experiments.lasa_scenes import LasaScene, Method, settings
@@ -40,12 +40,18 @@ _EDGES = ((0.05, 0.01), (0.1, 0.01))
 
 CANDIDATES: Mapping[str, tuple[Method, ...]] = {
     "smp": tuple(
-        Method(Stein(iterations=iterations), settings(weight, margin))
+        Method(adaptation("smp", iterations=iterations), settings(weight, margin))
         for weight, margin, iterations in product((0.3, 1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
     ),
     "promp_diff": tuple(
         Method(
-            Flow(iterations=iterations, flow_time=0.002, longest_move=0.004, fit_std=fit_std),
+            adaptation(
+                "promp_diff",
+                iterations=iterations,
+                flow_time=0.002,
+                longest_move=0.004,
+                fit_std=fit_std,
+            ),
             settings(margin=margin, edge_width=edge_width),
         )
         for margin, edge_width, iterations, fit_std in product(
@@ -53,13 +59,13 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
         )
     ),
     "cpromp": tuple(
-        Method(GaussianVI(iterations=iterations), settings(weight, margin))
+        Method(adaptation("cpromp", iterations=iterations), settings(weight, margin))
         for weight, margin, iterations in product(
             (3.0, 10.0, 30.0, 100.0), (0.01, 0.04), (200, 400)
         )
     ),
     "prompt_o": tuple(
-        Method(OptimisedMean(iterations=iterations), settings(weight, margin))
+        Method(adaptation("prompt_o", iterations=iterations), settings(weight, margin))
         for weight, margin, iterations in product(
             (10.0, 100.0), (0.01, 0.06, 0.12, 0.18, 0.24), (10, 30)
         )

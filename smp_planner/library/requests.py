@@ -51,8 +51,8 @@ def constraints_of(
 
     Raises:
         ValueError: a place of another dimension than the path or not finite, options of a
-            via-point at different phases, a region for the tool of no robot, or two constraints of one
-            phase that cannot both be met.
+            via-point at different phases, a region for the tool of no robot, or two constraints of
+            one phase that cannot both be met.
     """
     constraints: list[Constraint] = []
     if start is not None:

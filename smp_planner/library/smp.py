@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_planner.adaptation import ADAPTATIONS, Adaptation
+from smp_planner.adaptation import Adaptation, adaptation
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
@@ -198,7 +198,7 @@ class SMP:
                 that the robot does not reach.
         """
         settings = settings or AdaptSettings()
-        adaptation = _adaptation(method)
+        how = _adaptation(method)
         if particles < 1:
             raise ValueError(f"particles must be at least 1, got {particles}")
         settings = settings.model_copy(update={"particles": particles})
@@ -215,7 +215,7 @@ class SMP:
         if not per_component:
             single = prior.settings.model_copy(update={"per_component": False})
             prior = replace(prior, settings=single)
-        (plan,) = plan_problems([problem], prior, adaptation, settings)
+        (plan,) = plan_problems([problem], prior, how, settings)
         return self._outwards(plan, obstacles, reading)
 
     def _outwards(self, plan: Plan, obstacles: Sequence[PathObstacle], reading: float) -> Plan:
@@ -254,10 +254,4 @@ def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:
 
 
 def _adaptation(method: str | Adaptation) -> Adaptation:
-    if isinstance(method, Adaptation):
-        return method
-    if method not in ADAPTATIONS:
-        raise ValueError(
-            f"method must be one of {', '.join(ADAPTATIONS)}, or an Adaptation; got {method!r}"
-        )
-    return ADAPTATIONS[method]
+    return method if isinstance(method, Adaptation) else adaptation(method)

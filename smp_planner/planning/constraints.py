@@ -331,7 +331,8 @@ class Reaching:
 
     def cost(self, settings: PlanSettings) -> Cost:
         """Return `mixture_cost` of the regions, for the tool at the end of the trajectory."""
-        lower, upper = (np.stack([getattr(g, n) for g in self.goals]) for n in ("lower", "upper"))
+        lower = np.stack([goal.lower for goal in self.goals])
+        upper = np.stack([goal.upper for goal in self.goals])
         variance = np.full(lower.shape, settings.sigma**2)
 
         def cost(trajectories: ArrayLike) -> ValueAndGradient:

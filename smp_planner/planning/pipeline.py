@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -76,8 +77,9 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The particles of a plan that have one prior: a component, conditioned on one option of each
-    constraint.
+    """The particles of a plan that have one prior.
+
+    That is a component, conditioned on one option of each constraint.
 
     Attributes:
         component: index of the component.
@@ -259,35 +261,31 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
             for (attempt, _), part in zip(group, parts, strict=True)
         ]
 
-        def good(
-            latent: Tensor, runs: Runs = runs, group: list[tuple[_Attempt, int]] = group
-        ) -> BoolArray:
-            weights = runs.unwhiten(latent)
-            return np.stack(
-                [
-                    assess(
-                        attempt.problem,
-                        primitive.trajectory(w, settings.samples).numpy(),
-                        settings,
-                    ).good
-                    for (attempt, _), primitive, w in zip(
-                        group, runs.primitives, weights, strict=True
-                    )
-                ]
-            )
-
         latent = adaptation.adapt(
             runs,
             torch.stack([part.latent for part in parts]),
             TargetBatch([target for target in targets if target is not None]),
             rngs,
             adaptation.settings,
-            good,
+            partial(_good, runs, [attempt.problem for attempt, _ in group], settings),
         )
         seconds = (time.perf_counter() - begin) / len(group)
         for (attempt, index), adapted in zip(group, latent, strict=True):
             attempt.parts[index] = replace(attempt.parts[index], latent=adapted)
             attempt.stopwatch.add("inference", seconds)
+
+
+def _good(
+    runs: Runs, problems: Sequence[Problem], settings: PlanSettings, latent: Tensor
+) -> BoolArray:
+    """Return which of whitened particles (B, P, r) are good as they are, (B, P)."""
+    found = []
+    for problem, primitive, weights in zip(
+        problems, runs.primitives, runs.unwhiten(latent), strict=True
+    ):
+        trajectories = primitive.trajectory(weights, settings.samples).numpy()
+        found.append(assess(problem, trajectories, settings).good)
+    return np.stack(found)
 
 
 def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
