@@ -7,7 +7,9 @@ pass all via-points.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -23,7 +25,7 @@ from smp_planner.experiments.tables import Column, Row
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "measure_cell"]
+__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "cells_of", "measure_cell"]
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -82,6 +84,20 @@ class Cell(NamedTuple):
     variant: str
     difficulty: str
     seed: int
+
+
+def cells_of(
+    tasks: Sequence[str], priors: Sequence[str], difficulty: str, seeds: Iterable[int]
+) -> list[Cell]:
+    """Return the measurements of all variants in scenes of tasks.
+
+    Scenes stand before priors and variants, so that one worker draws each scene once; what is next
+    to each other in a scene differs by its variant only.
+    """
+    return [
+        Cell(task, prior, variant, difficulty, seed)
+        for task, seed, prior, variant in product(tasks, seeds, priors, VARIANTS)
+    ]
 
 
 @lru_cache(maxsize=1)
