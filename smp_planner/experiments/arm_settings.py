@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_planner.benchmark.episodes import environment_id
-from smp_planner.benchmark.metrics import compare, resample, rms_distances
+from smp_planner.benchmark.metrics import compare, resample
 from smp_planner.collision.robot_model import jaco_model
+from smp_planner.experiments.paths import diversity
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -165,12 +166,5 @@ def measure_cell(cell: Cell) -> Row:
         "mmd": similarity.mmd,
         "modes": float(plan.modes.count),
         "entropy": plan.modes.entropy,
-        "diversity": 1e3 * diversity(paths) if len(paths) > 1 else None,
+        "diversity": 1e3 * diversity(resample(paths)) if len(paths) > 1 else None,
     }
-
-
-def diversity(paths: FloatArray) -> float:
-    """Return the mean distance, root mean square over time, of two different paths (P, T, d)."""
-    sampled = resample(paths)
-    count = len(sampled)
-    return float(rms_distances(sampled, sampled).sum() / (count * (count - 1)))
