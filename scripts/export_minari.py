@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.datasets.minari_export import Act, dataset_path, export_demonstrations
 from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.options import progress_bar
 from smp_planner.policy.tracking import Track, gripper_event
 
 
@@ -53,18 +53,17 @@ def main(
     console = Console()
     if out is not None:
         os.environ["MINARI_DATASETS_PATH"] = str(out)
-    bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     try:
         demonstrations = Demonstrations.load(task)
-        with Progress(*bar, TimeRemainingColumn(), console=console, transient=True) as progress:
-            playing = progress.add_task(demonstrations.task, total=len(demonstrations))
+        count = len(demonstrations)
+        with progress_bar(demonstrations.task, count, console, transient=True) as (bar, playing):
             dataset = export_demonstrations(
                 demonstrations,
                 acts(demonstrations),
                 dataset_id,
                 difficulty=difficulty,
                 overwrite=overwrite,
-                finished=lambda _: progress.advance(playing),
+                finished=lambda _: bar.advance(playing),
             )
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         console.print(f"nothing written: {error}", highlight=False, soft_wrap=True)

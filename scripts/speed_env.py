@@ -6,110 +6,15 @@ smp-gym[panda]``). Actions are random; steps a second leave out the resets in be
 
 from __future__ import annotations
 
-import importlib.util
-import multiprocessing
 import os
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
-import gymnasium
-import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
-import smp_gym
-from smp_gym.scene import Scene
+from smp_gym.inspection.speed import known_ids, together
 from smp_planner.benchmark.options import chosen_names, split_names
-
-PANDA = "PandaPickAndPlace-v3"
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-@dataclass(frozen=True)
-class Speed:
-    """What one process reaches.
-
-    Attributes:
-        steps: a second.
-        replays: resets to a given scene a second; of panda-gym, any resets.
-        draws: resets to a newly drawn scene a second; of panda-gym, any resets.
-    """
-
-    steps: float
-    replays: float
-    draws: float
-
-
-def _rate(act: Callable[[], float], seconds: float) -> float:
-    """Call again and again until the calls' own times, which they return, add up to `seconds`."""
-    count, spent = 0, 0.0
-    while spent < seconds:
-        spent += act()
-        count += 1
-    return count / spent
-
-
-def _timed(act: Callable[[], Any]) -> float:
-    began = time.perf_counter()
-    act()
-    return time.perf_counter() - began
-
-
-def measure(id: str, seconds: float, barrier: Any, results: Any) -> None:
-    """Measure one environment in this process, at the same time as the others at the barrier."""
-    if id == PANDA:
-        import panda_gym  # noqa: F401  (registers the environment)
-    env = gymnasium.make(id)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    scene: Scene | None = getattr(env.unwrapped, "scene", None)
-    seeds = iter(range(10**6))
-    over = True
-
-    def step() -> float:
-        nonlocal over
-        if over:
-            env.reset(seed=next(seeds))
-        action = env.action_space.sample()
-        began = time.perf_counter()
-        _, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-        return time.perf_counter() - began
-
-    def replay() -> float:
-        return _timed(lambda: env.reset(options={"scene": scene} if scene else None))
-
-    def draw() -> float:
-        return _timed(lambda: env.reset(seed=next(seeds)))
-
-    for act in (step, replay, draw):
-        act()
-    rates = []
-    for act in (step, replay, draw):
-        barrier.wait()
-        rates.append(_rate(act, seconds))
-    env.close()
-    results.put(Speed(*rates))
-
-
-def together(id: str, processes: int, seconds: float) -> Speed:
-    """Return what several processes reach together, each with an environment of its own."""
-    context = multiprocessing.get_context("spawn")
-    barrier, results = context.Barrier(processes), context.Queue()
-    workers = [
-        context.Process(target=measure, args=(id, seconds, barrier, results), daemon=True)
-        for _ in range(processes)
-    ]
-    for worker in workers:
-        worker.start()
-    speeds = [results.get(timeout=60.0 + 20.0 * seconds) for _ in workers]
-    for worker in workers:
-        worker.join()
-    names = ("steps", "replays", "draws")
-    return Speed(*(float(np.sum([getattr(speed, name) for speed in speeds])) for name in names))
 
 
 def main(
@@ -117,13 +22,12 @@ def main(
     processes: Annotated[str, typer.Option(help="Numbers of processes.")] = "1,2,4",
     seconds: Annotated[float, typer.Option(min=0.1, help="Length of each measurement.")] = 3.0,
 ) -> None:
-    """Measure and print a table."""
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    """Measure and print a table.
+
+    Example: python scripts/speed_env.py --ids smp_gym/Placement-v0 --processes 1,2
+    """
     console = Console()
-    known = [entry.id for entry in smp_gym.ENVIRONMENTS]
-    if importlib.util.find_spec("panda_gym"):
-        known.append(PANDA)
-    chosen = chosen_names(ids, known, "--ids")
+    chosen = chosen_names(ids, known_ids(), "--ids")
     try:
         numbers = [int(number) for number in split_names(processes)]
     except ValueError:

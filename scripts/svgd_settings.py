@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-from itertools import product
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-    track,
-)
 
-from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
-from smp_planner.benchmark.options import chosen_names
+from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.options import chosen_names, one_of, pooled, tuning_seeds
 from smp_planner.experiments import arm_settings
-from smp_planner.experiments.svgd_settings import EXACT, VARIANTS, Ground, settings_columns
-from smp_planner.experiments.tables import print_table, summarise, write_tables
+from smp_planner.experiments.svgd_settings import VARIANTS, Ground, settings_columns, settings_rows
+from smp_planner.experiments.tables import report
 from smp_planner.inference import SETTINGS
 from smp_planner.inference.smc import SMCSettings
 
@@ -49,26 +38,21 @@ def lasa(
     Written is a table for each scene: CSV of all rows, JSON and Markdown of means and spreads.
 
     All scenes together take about ten minutes of one core.
+
+    Example: python scripts/svgd_settings.py lasa --variant fig1 --settings default,paper
     """
-    console = Console()
     chosen = chosen_names(settings, tuple(SETTINGS), "--settings")
     for name in chosen_names(variant, tuple(VARIANTS), "--variant"):
-        with console.status(f"{name}: drawing from the exact posterior"):
+        with Console().status(f"{name}: drawing from the exact posterior"):
             ground = Ground.of(
                 VARIANTS[name], reference_runs, SMCSettings(reference_particles, last_moves=100)
             )
-            rows = list(ground.reference_rows())
-        todo = [(setting, seed) for setting in [EXACT, *chosen] for seed in range(repetitions)]
-        for setting, seed in track(todo, name, console=console):
-            rows.append(ground.row(setting, particles, seed))
-        summaries, columns = summarise(rows, ["setting"]), settings_columns(ground)
-        print_table(console, summaries, columns, name)
+        rows = settings_rows(ground, chosen, particles, repetitions, name)
         note = (
             f"{particles} particles, {repetitions} repetitions; the posterior by {reference_runs} "
             f"runs of {reference_particles} particles."
         )
-        write_tables(rows, summaries, columns, out, f"lasa_{name}", note)
-    console.print(f"wrote {out}")
+        report(rows, ["setting"], settings_columns(ground), out, f"lasa_{name}", note, name)
 
 
 @app.command()
@@ -91,44 +75,25 @@ def arm(
     """Plan in scenes of the tasks with each setting; CSV, JSON and Markdown to OUT.
 
     Nothing is executed: sets are judged by the planners' exact check.
+
+    Example: python scripts/svgd_settings.py arm --tasks Placement --scenes 5 --jobs 4
     """
-    chosen_names(difficulty, DIFFICULTIES, "--difficulty")
-    if seed + scenes > EVALUATION_SEEDS_START:
-        raise typer.BadParameter(
-            f"must leave all seeds below {EVALUATION_SEEDS_START}, got {seed}", param_hint="--seed"
-        )
-    # Scenes stand before settings, so that a worker draws each scene once.
-    cells = [
-        arm_settings.Cell(task, prior, variant, difficulty, seed + number)
-        for task, number, prior, variant in product(
-            chosen_names(tasks, TASKS, "--tasks"),
-            range(scenes),
-            chosen_names(priors, tuple(arm_settings.PRIORS), "--priors"),
-            arm_settings.VARIANTS,
-        )
-    ]
-    console = Console()
-    columns = (TextColumn("plans"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    rows = []
-    context = multiprocessing.get_context("spawn")
-    with (
-        ProcessPoolExecutor(jobs, mp_context=context) as pool,
-        Progress(*columns, console=console) as progress,
-    ):
-        bar = progress.add_task("plans", total=len(cells))
-        for row in pool.map(arm_settings.measure_cell, cells, chunksize=len(arm_settings.VARIANTS)):
-            rows.append(row)
-            progress.advance(bar)
+    one_of(difficulty, DIFFICULTIES, "--difficulty")
+    cells = arm_settings.cells_of(
+        chosen_names(tasks, TASKS, "--tasks"),
+        chosen_names(priors, tuple(arm_settings.PRIORS), "--priors"),
+        difficulty,
+        tuning_seeds(seed, scenes),
+    )
+    together = len(arm_settings.VARIANTS)
+    rows = pooled(arm_settings.measure_cell, cells, "plans", Console(), jobs=jobs, chunk=together)
     rows.sort(key=lambda row: (str(row["task"]), str(row["prior"])))
-    summaries = summarise(rows, ("task", "prior", "variant"))
     note = (
         f"Mean ± standard deviation over {scenes} scenes of difficulty {difficulty}, seeds from "
         f"{seed} on, one plan each without another try; the reference of similarity is the "
         "primitive tied to the scene's start and goal."
     )
-    write_tables(rows, summaries, arm_settings.COLUMNS, out, "arm", note)
-    print_table(console, summaries, arm_settings.COLUMNS)
-    console.print(f"wrote arm.csv, .json and .md to {out}", soft_wrap=True)
+    report(rows, ("task", "prior", "variant"), arm_settings.COLUMNS, out, "arm", note)
 
 
 if __name__ == "__main__":

@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.options import chosen_names, progress_bar
 from smp_planner.benchmark.row_file import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
@@ -36,6 +35,8 @@ def run(
     """Play what the folder does not hold yet, then write tables and figure.
 
     After an interruption the same command continues where it stopped.
+
+    Example: python scripts/table_two.py run --tasks Placement --methods smp,cpromp --jobs 4
     """
     keys = running.keys_of(
         chosen_names(tasks, TASKS, "--tasks"),
@@ -43,10 +44,8 @@ def run(
         repetitions_,
     )
     console = Console()
-    columns = (TextColumn("repetitions"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
-        with Progress(*columns, console=console) as progress:
-            bar = progress.add_task("repetitions", total=len(keys))
+        with progress_bar("repetitions", len(keys), console) as (progress, bar):
             running.run(
                 keys,
                 out,
@@ -82,10 +81,9 @@ def show(
         rows = [row for row in rows if (row.task, row.method) not in again] + measured
     summary = report.write_report(rows, out)
     figure.draw_table(summary, out / "table_two.png")
-    console = Console()
-    for name in ("trajectories.csv", "repetitions.csv", "summary.json", "table_two.md"):
-        console.print(f"wrote {out / name}", soft_wrap=True)
-    console.print(f"wrote {out / 'table_two.png'}", soft_wrap=True)
+    written = ("trajectories.csv", "repetitions.csv", "summary.json", "table_two.md")
+    for name in (*written, "table_two.png"):
+        Console().print(f"wrote {out / name}", soft_wrap=True)
 
 
 @app.command()

@@ -4,8 +4,15 @@ Importing the package registers its environments, for example
 ``gymnasium.make("smp_gym/Placement-v0")``; `smp_gym.registration.ENVIRONMENTS` lists them all.
 """
 
+from importlib.metadata import PackageNotFoundError, version
+
 from smp_gym.registration import ENVIRONMENTS, register_envs
 
-__all__ = ["ENVIRONMENTS", "register_envs"]
+__all__ = ["ENVIRONMENTS", "__version__", "register_envs"]
+
+try:
+    __version__ = version("smp-gym")
+except PackageNotFoundError:  # A checkout on the path that is not installed.
+    __version__ = "unknown"
 
 register_envs()

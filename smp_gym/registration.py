@@ -9,7 +9,7 @@ import gymnasium
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_gym.scene import TASKS
 
-__all__ = ["ENVIRONMENTS", "Registration", "register_envs"]
+__all__ = ["ENVIRONMENTS", "Registration", "environment_id", "register_envs"]
 
 _ENTRY_POINT = "smp_gym.env:ManipulationEnv"
 
@@ -29,10 +29,18 @@ class Registration:
     reward: str
 
 
+_SUFFIXES = {"sparse": "", "dense": "Dense"}
+
+
+def environment_id(task: str, reward: str = "sparse") -> str:
+    """Return the Gymnasium id of a task with the "sparse" or the "dense" reward."""
+    return f"smp_gym/{task}{_SUFFIXES[reward]}-v0"
+
+
 ENVIRONMENTS = tuple(
-    Registration(id=f"smp_gym/{task}{suffix}-v0", task=task, reward=reward)
+    Registration(id=environment_id(task, reward), task=task, reward=reward)
     for task in TASKS
-    for suffix, reward in (("", "sparse"), ("Dense", "dense"))
+    for reward in _SUFFIXES
 )
 """All ids: each task with a sparse and with a dense reward."""
 

@@ -1,6 +1,7 @@
 """The built wheel, installed into an environment of its own, works without the repository."""
 
 import os
+import re
 import shutil
 import site
 import subprocess
@@ -107,6 +108,13 @@ def test_installed_wheel_plans_and_acts(python: Path, tmp_path: Path) -> None:
     reward, particles = _run([str(python), "-c", USE], cwd=tmp_path).split()
     assert float(reward) == -1.0
     assert int(particles) > 1
+
+
+def test_packages_say_the_version_that_is_installed(python: Path, tmp_path: Path) -> None:
+    text = (ROOT / "pyproject.toml").read_text()
+    (declared,) = re.findall(r'^version = "(.+)"$', text, re.MULTILINE)
+    code = "import smp_gym, smp_planner; print(smp_gym.__version__, smp_planner.__version__)"
+    assert _run([str(python), "-c", code], cwd=tmp_path).split() == [declared, declared]
 
 
 def test_installed_command_answers(python: Path, tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("smp_gym", "smp_planner", "envs_assets")
+MAKING = ("agents", "benchmark", "experiments")
+TRAINING = (("smp_planner", "agents"), ("smp_gym", "inspection"))
 ALLOWED_OF_GYM = {"scene", "observation", "robot", "geometry", "datasets", "assets"}
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
@@ -26,7 +28,7 @@ def _imports(tree: ast.AST) -> Iterator[str]:
 def _violations(path: Path, source: str) -> list[str]:
     """Return what a file of one of the packages breaks, given by its path below the root."""
     package, *rooms = path.with_suffix("").parts
-    in_benchmark = rooms[:1] in (["benchmark"], ["experiments"])
+    in_benchmark = rooms[0] in MAKING
     tree = ast.parse(source)
     found = []
     for name in _imports(tree):
@@ -41,7 +43,9 @@ def _violations(path: Path, source: str) -> list[str]:
             if top == "smp_gym" and (not rest or rest[0] not in ALLOWED_OF_GYM):
                 found.append(f"imports {name}: only {sorted(ALLOWED_OF_GYM)} of smp_gym")
             if name in {"gymnasium.make", "gymnasium.make_vec"}:
-                found.append(f"imports {name}: only benchmark/ and experiments/ make environments")
+                found.append(f"imports {name}: only {MAKING} make environments")
+        if top == "stable_baselines3" and (package, rooms[0]) not in TRAINING:
+            found.append(f"imports {name}: only agents/ and inspection/")
         if package == "envs_assets" and top in PACKAGES:
             found.append(f"imports {name}: data only")
     for node in ast.walk(tree):
@@ -51,7 +55,7 @@ def _violations(path: Path, source: str) -> list[str]:
         if package == "smp_planner" and not in_benchmark and called.split(".")[-1] == "make":
             owner = called.rpartition(".")[0]
             if owner in {"gym", "gymnasium"}:
-                found.append(f"calls {called}: only benchmark/ and experiments/ make environments")
+                found.append(f"calls {called}: only {MAKING} make environments")
         for keyword in node.keywords:
             safe = {"allow_pickle": "False", "weights_only": "True"}.get(keyword.arg or "")
             if safe is not None and ast.unparse(keyword.value) != safe:
@@ -83,6 +87,7 @@ def test_every_module_says_what_it_is(path: Path) -> None:
         ("smp_planner/collision/costs.py", "import gymnasium as gym\ngym.make('a')"),
         ("smp_planner/collision/costs.py", "from gymnasium import make"),
         ("smp_planner/benchmark/runner.py", "import pybullet"),
+        ("smp_planner/benchmark/runner.py", "from stable_baselines3 import SAC"),
         ("smp_planner/policy_file.py", "import pickle"),
         ("smp_planner/policy_file.py", "np.load(path, allow_pickle=True)"),
         ("smp_planner/policy_file.py", "np.load(path, allow_pickle=flag)"),

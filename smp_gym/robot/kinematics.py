@@ -1,7 +1,7 @@
 """The arm as numbers: chain, limits, link spheres, forward and inverse kinematics; no physics.
 
 The arm is a Kinova JACO j2s6s200: six revolute joints, two fingers of two links each. The
-constants are those of the manufacturer's robot description; `scripts/make_jaco_assets.py` writes
+constants are those of the manufacturer's robot description; `smp_gym.jaco_assets` writes
 the simulated arm from the same numbers. Joint i turns LINKS[i + 1] about the z axis of its frame.
 Metres, radians, seconds; poses are (4, 4) homogeneous matrices.
 """

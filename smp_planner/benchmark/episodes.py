@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.observation import DecodedObservation, decode
+from smp_gym.registration import environment_id
 from smp_gym.scene import FAMILIES, Scene
 from smp_planner.planning.problem import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -162,11 +163,6 @@ class Rollout:
 def kind_of_scene(difficulty: str, family: str) -> str:
     """Return what to call the scenes of a difficulty and a family: furniture has no difficulty."""
     return f"difficulty {difficulty}" if family == FAMILIES[0] else f"furniture: {family}"
-
-
-def environment_id(task: str) -> str:
-    """Return the Gymnasium id under which a task is registered."""
-    return f"smp_gym/{task}-v0"
 
 
 def _goal_error(decoded: DecodedObservation) -> float:

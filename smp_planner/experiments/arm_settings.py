@@ -7,7 +7,9 @@ pass all via-points.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -17,13 +19,14 @@ from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_planner.benchmark.episodes import environment_id
-from smp_planner.benchmark.metrics import compare, resample, rms_distances
+from smp_planner.benchmark.metrics import compare, resample
 from smp_planner.collision.robot_model import jaco_model
+from smp_planner.experiments.paths import diversity
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "measure_cell"]
+__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "cells_of", "measure_cell"]
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -82,6 +85,20 @@ class Cell(NamedTuple):
     variant: str
     difficulty: str
     seed: int
+
+
+def cells_of(
+    tasks: Sequence[str], priors: Sequence[str], difficulty: str, seeds: Iterable[int]
+) -> list[Cell]:
+    """Return the measurements of all variants in scenes of tasks.
+
+    Scenes stand before priors and variants, so that one worker draws each scene once; what is next
+    to each other in a scene differs by its variant only.
+    """
+    return [
+        Cell(task, prior, variant, difficulty, seed)
+        for task, seed, prior, variant in product(tasks, seeds, priors, VARIANTS)
+    ]
 
 
 @lru_cache(maxsize=1)
@@ -149,12 +166,5 @@ def measure_cell(cell: Cell) -> Row:
         "mmd": similarity.mmd,
         "modes": float(plan.modes.count),
         "entropy": plan.modes.entropy,
-        "diversity": 1e3 * diversity(paths) if len(paths) > 1 else None,
+        "diversity": 1e3 * diversity(resample(paths)) if len(paths) > 1 else None,
     }
-
-
-def diversity(paths: FloatArray) -> float:
-    """Return the mean distance, root mean square over time, of two different paths (P, T, d)."""
-    sampled = resample(paths)
-    count = len(sampled)
-    return float(rms_distances(sampled, sampled).sum() / (count * (count - 1)))

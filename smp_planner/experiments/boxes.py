@@ -16,13 +16,22 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import track
 
-from smp_planner.experiments.lasa_scenes import LasaScene, Method
+from smp_planner.adaptation import Stein
+from smp_planner.experiments.lasa_scenes import (
+    FIGURE_1,
+    FIGURE_2B,
+    LasaScene,
+    Method,
+    learn,
+    settings,
+)
 from smp_planner.experiments.paths import clearances
-from smp_planner.experiments.tables import Column
+from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import SMP, AnyOf, Box
 
-__all__ = ["COLUMNS", "PRIORS", "TAIL", "box_row", "regions"]
+__all__ = ["COLUMNS", "PRIORS", "TAIL", "box_row", "box_rows", "regions"]
 
 TAIL = 0.25
 """mm, σ of Eq. (14)."""
@@ -74,6 +83,21 @@ def regions(primitive: SMP, phase: Literal[0, 1]) -> tuple[Box, ...]:
     half = _STDS * np.sqrt(variances) * primitive.extent
     middle = primitive.frame.outwards(means)
     return tuple(Box(m - h, m + h, TAIL) for m, h in zip(middle, half, strict=True))
+
+
+def box_rows(particles: int, repetitions: int) -> list[Row]:
+    """Return the rows of Table I: each of the `PRIORS` in the scenes of Fig. 1 and Fig. 2b.
+
+    Args:
+        particles: P.
+        repetitions: with seeds from 0.
+    """
+    rows: list[Row] = []
+    for scene in (FIGURE_1, FIGURE_2B):
+        primitive, method = learn(scene.shape), Method(Stein(), settings())
+        for seed in track(range(repetitions), scene.shape):
+            rows += [box_row(prior, primitive, scene, method, particles, seed) for prior in PRIORS]
+    return rows
 
 
 def box_row(

@@ -5,14 +5,24 @@ A *reference* is a large draw of the unadapted primitive, which similarity is me
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import track
 
 from smp_planner.benchmark.metrics import log_dimensionless_jerk, path_lengths
-from smp_planner.experiments.lasa_scenes import LasaScene, Method
+from smp_planner.experiments.figures import draw_side_by_side
+from smp_planner.experiments.lasa_scenes import LasaScene, Method, learn
 from smp_planner.experiments.paths import classes, clearances, similarity
+<<<<<<< HEAD
 from smp_planner.experiments.tables import Column
 from smp_planner.library.smp import SMP, Plan
+=======
+from smp_planner.experiments.tables import Column, Row
+from smp_planner.library.smp import SMP, PathPlan
+>>>>>>> scripts
 from smp_planner.planning.modes import group
 
 __all__ = [
@@ -21,6 +31,7 @@ __all__ = [
     "REFERENCE_SIZE",
     "adapted",
     "common_ends",
+    "compare",
     "measure",
     "noise_floor_row",
     "reference_of",
@@ -50,7 +61,57 @@ COLUMNS = (
 )
 """Of the printed table of `measure`'s rows."""
 
+_TITLES = {
+    "promp": "ProMP",
+    "smp": "SMP",
+    "promp_diff": "ProMPs-Diff",
+    "cpromp": "CProMPs",
+    "prompt_o": "ProMPT-O",
+}
+
 FloatArray = NDArray[np.float64]
+
+
+def compare(
+    scene: LasaScene,
+    methods: Mapping[str, Method],
+    particles: int,
+    repetitions: int,
+    figure: Path,
+    modes: int | None = None,
+) -> list[Row]:
+    """Adapt a shape by several methods, draw the first repetition and return a row for each.
+
+    Args:
+        scene: to adapt to.
+        methods: by name.
+        particles: P.
+        repetitions: with seeds from 0.
+        figure: file to write.
+        modes: components of the primitive, see `lasa_scenes.learn`.
+
+    Raises:
+        ValueError: as `lasa_scenes.learn` and `SMP.adapt`.
+    """
+    primitive = learn(scene.shape, modes=modes)
+    reference = reference_of(primitive)
+    rows: list[Row] = []
+    panels = {}
+    for seed in track(range(repetitions), "repetitions"):
+        plans = {
+            name: adapted(primitive, scene, method, particles, seed)
+            for name, method in methods.items()
+        }
+        rows.append(noise_floor_row(primitive, scene, reference, particles, seed))
+        for name, plan in plans.items():
+            measured = measure(plan.trajectories, primitive, scene, reference)
+            rows.append({"method": name, "seed": seed, **measured})
+            if seed == 0:
+                panels[f"{_TITLES[name]}: {measured['free']:.0f} of {particles} free"] = (
+                    plan.trajectories
+                )
+    draw_side_by_side(panels, primitive.demonstrations, scene, figure)
+    return rows
 
 
 def adapted(

@@ -6,7 +6,7 @@ the millimetres of the data.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -25,7 +25,9 @@ __all__ = [
     "TUNING_SCENES",
     "LasaScene",
     "Method",
+    "described",
     "learn",
+    "scene_of",
     "settings",
 ]
 
@@ -149,3 +151,66 @@ def learn(shape: str, smooth_std: float = SMOOTH_STD, modes: int | None = None) 
     demonstrations = lasa.demonstrations(shape)
     extent = float(np.ptp(demonstrations, axis=(0, 1)).max())
     return SMP.fit(demonstrations, smooth_std=smooth_std / extent, modes=modes)
+
+
+def scene_of(
+    shape: str,
+    obstacles: Sequence[str] | None = None,
+    vias: Sequence[str] | None = None,
+    goal: str | None = None,
+    default: LasaScene | None = None,
+) -> LasaScene:
+    """Return the scene that a command line describes; lengths in mm.
+
+    Args:
+        shape: of `lasa.demonstrations`.
+        obstacles: circles "x,y,radius".
+        vias: via-points "phase,x,y", of which several of one phase are a choice.
+        goal: end "x,y".
+        default: returned if nothing but its shape is given.
+
+    Raises:
+        ValueError: a text is not as many numbers joined by commas.
+    """
+    if default is not None and shape == default.shape and not (obstacles or vias or goal):
+        return default
+    choices: dict[float, list[ViaPoint]] = {}
+    for phase, x, y in (_numbers("via", text, 3) for text in vias or ()):
+        choices.setdefault(phase, []).append(ViaPoint(phase, np.array([x, y])))
+    end = None if goal is None else _numbers("goal", goal, 2)
+    return LasaScene(
+        shape,
+        tuple(
+            Circle((x, y), radius)
+            for x, y, radius in (_numbers("obstacle", text, 3) for text in obstacles or ())
+        ),
+        tuple(AnyOf(points) if len(points) > 1 else points[0] for points in choices.values()),
+        None if end is None else (end[0], end[1]),
+    )
+
+
+def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise ValueError(f"{option} must be {count} numbers joined by ',', got {text!r}")
+    return numbers
+
+
+def described(scene: LasaScene) -> str:
+    """Return a scene in words."""
+    circles = [f"({o.center[0]:g}, {o.center[1]:g}) radius {o.radius:g}" for o in scene.obstacles]
+    text = f"{scene.shape}, obstacles {', '.join(circles) or 'none'}"
+    for wanted in scene.via_points:
+        options = wanted.options if isinstance(wanted, AnyOf) else (wanted,)
+        places = [
+            f"({o.position[0]:g}, {o.position[1]:g}) at phase {o.phase:g}"
+            for o in options
+            if isinstance(o, ViaPoint)
+        ]
+        text += f", via-point {' or '.join(places)}"
+    if scene.goal is not None:
+        text += f", end ({scene.goal[0]:g}, {scene.goal[1]:g})"
+    return text + "; mm"

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import track
 
-from smp_planner.experiments.lasa_scenes import LasaScene
+from smp_planner.adaptation import Stein
+from smp_planner.experiments.comparison import adapted
+from smp_planner.experiments.figures import draw_side_by_side
+from smp_planner.experiments.lasa_scenes import LasaScene, Method, learn, settings
 from smp_planner.experiments.paths import clearances
-from smp_planner.experiments.tables import Column
+from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import AnyOf, Plan, ViaPoint
 
-__all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulation_row", "passed_via_points"]
+__all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulate", "modulation_row", "passed_via_points"]
 
 TOLERANCE = 1.0
 """mm, within which a via-point counts as passed and an end as reached."""
@@ -29,6 +36,46 @@ COLUMNS = (
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+
+def modulate(
+    scenes: Mapping[str, LasaScene],
+    particles: int,
+    repetitions: int,
+    figure: Path,
+    modes: int | None = None,
+) -> list[Row]:
+    """Adapt shapes by SMP, draw the first repetition and return a row for each.
+
+    Ends and via-points are conditioned on ("exact"), or left to their costs as in the paper
+    ("soft"), which takes twice the iterations.
+
+    Args:
+        scenes: by name.
+        particles: P.
+        repetitions: with seeds from 0.
+        figure: file to write.
+        modes: components of the primitives, see `lasa_scenes.learn`.
+
+    Raises:
+        ValueError: as `lasa_scenes.learn` and `SMP.adapt`.
+    """
+    exact = settings()
+    soft = exact.model_copy(update={"modulation": "likelihood"})
+    methods = {"exact": Method(Stein(), exact), "soft": Method(Stein(iterations=200), soft)}
+    rows: list[Row] = []
+    panels, drawn = {}, []
+    for name, scene in scenes.items():
+        primitive = learn(scene.shape, modes=modes)
+        for seed in track(range(repetitions), name):
+            for kind, method in methods.items():
+                plan = adapted(primitive, scene, method, particles, seed)
+                rows.append(modulation_row(name, kind, scene, plan, seed))
+                if seed == 0 and kind == "exact":
+                    panels[f"({name})"] = plan.trajectories
+                    drawn.append(scene)
+    draw_side_by_side(panels, primitive.demonstrations, drawn, figure)
+    return rows
 
 
 def modulation_row(

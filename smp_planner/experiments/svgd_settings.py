@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import track
 
 from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted, common_ends, reference_of
@@ -21,11 +22,19 @@ from smp_planner.experiments.lasa_scenes import (
 )
 from smp_planner.experiments.paths import classes, similarity
 from smp_planner.experiments.posterior import Reference, columns, exact_draws, posterior_row
-from smp_planner.experiments.tables import Column
+from smp_planner.experiments.tables import Column, Row
 from smp_planner.inference.smc import SMCSettings
 from smp_planner.library.smp import SMP, Circle
 
-__all__ = ["EXACT", "POSTERIOR", "VARIANTS", "Ground", "Variant", "settings_columns"]
+__all__ = [
+    "EXACT",
+    "POSTERIOR",
+    "VARIANTS",
+    "Ground",
+    "Variant",
+    "settings_columns",
+    "settings_rows",
+]
 
 POSTERIOR = "posterior (SMC)"
 """Setting in the rows of the reference's own runs, whose spread is the reference's error."""
@@ -36,7 +45,6 @@ EXACT = "draws of it"
 _SETTINGS = settings().model_copy(update={"samples": 200})
 
 FloatArray = NDArray[np.float64]
-Row = dict[str, "str | float | None"]
 
 
 @dataclass(frozen=True)
@@ -138,6 +146,23 @@ class Ground:
             **posterior_row(setting, paths, signatures, self.posterior, scene),
             "seed": seed,
         }
+
+
+def settings_rows(
+    ground: Ground, settings: Sequence[str], particles: int, repetitions: int, title: str
+) -> list[Row]:
+    """Return the rows of the reference's runs, of draws from it, and of settings of SVGD.
+
+    Args:
+        ground: of a variant.
+        settings: of `inference.SETTINGS`.
+        particles: P of each set.
+        repetitions: of each setting, with seeds from 0.
+        title: of the progress bar.
+    """
+    todo = [(setting, seed) for setting in (EXACT, *settings) for seed in range(repetitions)]
+    measured = (ground.row(setting, particles, seed) for setting, seed in track(todo, title))
+    return [*ground.reference_rows(), *measured]
 
 
 def settings_columns(ground: Ground) -> tuple[Column, ...]:

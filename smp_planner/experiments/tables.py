@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-__all__ = ["Column", "Row", "Spread", "print_table", "summarise", "write_tables"]
+__all__ = ["Column", "Row", "Spread", "print_table", "report", "summarise", "write_tables"]
 
 _WIDEST = 1000
 """Characters in a line of a printed table."""
@@ -165,3 +165,36 @@ def write_tables(
     if note:
         lines += ["", note]
     (out / f"{name}.md").write_text("\n".join(lines) + "\n")
+
+
+def report(
+    rows: Sequence[Row],
+    by: Sequence[str],
+    columns: Sequence[Column],
+    out: Path,
+    name: str,
+    note: str = "",
+    title: str = "",
+) -> list[dict[str, str | Spread]]:
+    """Summarise rows, print the summaries, write all of it by `write_tables`, and return them.
+
+    Args:
+        rows: at least one.
+        by: columns of text, by which rows are taken together.
+        columns: of the table.
+        out: folder, made if there is none.
+        name: of the files, without suffix.
+        note: text below the table.
+        title: above the printed table.
+
+    Raises:
+        ValueError: as `summarise`.
+    """
+    console = Console()
+    summaries = summarise(rows, by)
+    print_table(console, summaries, columns, title)
+    if note:
+        console.print(note)
+    write_tables(rows, summaries, columns, out, name, note)
+    console.print(f"wrote {name}.csv, .json and .md to {out}", soft_wrap=True)
+    return summaries

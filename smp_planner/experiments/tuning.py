@@ -11,16 +11,23 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import track
 
 from smp_planner.adaptation import adaptation
 from smp_planner.benchmark.metrics import resample, wasserstein
-from smp_planner.experiments.comparison import adapted
-from smp_planner.experiments.lasa_scenes import LasaScene, Method, settings
+from smp_planner.experiments.comparison import adapted, reference_of
+from smp_planner.experiments.lasa_scenes import (
+    TUNING_SCENES,
+    LasaScene,
+    Method,
+    learn,
+    settings,
+)
 from smp_planner.experiments.paths import clearances
-from smp_planner.experiments.tables import Column, Spread
+from smp_planner.experiments.tables import Column, Row, Spread
 from smp_planner.library.smp import SMP
 
-__all__ = ["CANDIDATES", "CLOSE", "COLUMNS", "FIRST_SEED", "best", "tuning_row"]
+__all__ = ["CANDIDATES", "CLOSE", "COLUMNS", "FIRST_SEED", "best", "tuning_row", "tuning_rows"]
 
 CLOSE = 0.5
 """Free paths, out of those of a plan, by which means are taken for equal."""
@@ -74,6 +81,24 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
 """What is tried, by method."""
 
 FloatArray = NDArray[np.float64]
+
+
+def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:
+    """Return how each of a method's `CANDIDATES` does on the tuning scenes.
+
+    Args:
+        name: of the method.
+        particles: P.
+        repetitions: in each scene, with seeds from `FIRST_SEED`.
+    """
+    primitive = learn(TUNING_SCENES[0].shape)
+    reference = reference_of(primitive)
+    return [
+        tuning_row(name, index, primitive, scene, reference, particles, seed)
+        for index in track(range(len(CANDIDATES[name])), name)
+        for scene in TUNING_SCENES
+        for seed in range(FIRST_SEED, FIRST_SEED + repetitions)
+    ]
 
 
 def tuning_row(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from smp_planner.experiments import arm_settings
-from smp_planner.experiments.arm_settings import Cell, diversity, measure_cell
+from smp_planner.experiments.arm_settings import Cell, cells_of, measure_cell
+from smp_planner.experiments.paths import diversity
 from smp_planner.experiments.tables import summarise
 
 
@@ -42,3 +43,13 @@ def test_diversity_is_the_mean_distance_of_two_paths():
     paths = np.stack([still, still + np.array([0.3, 0.0, 0.0]), still + np.array([0.0, 0.4, 0.0])])
     paths[:, :, 2] += np.linspace(0.0, 1.0, 60)
     assert diversity(paths) == pytest.approx((0.3 + 0.4 + 0.5) / 3)
+
+
+def test_all_variants_of_a_scene_and_prior_follow_each_other():
+    cells = cells_of(["DrawS", "Placement"], ["usual", "narrow"], "easy", range(5, 8))
+    count = len(arm_settings.VARIANTS)
+    assert len(cells) == len(set(cells)) == 2 * 3 * 2 * count
+    for start in range(0, len(cells), count):
+        together = cells[start : start + count]
+        assert [cell.variant for cell in together] == list(arm_settings.VARIANTS)
+        assert len({(cell.task, cell.prior, cell.seed) for cell in together}) == 1

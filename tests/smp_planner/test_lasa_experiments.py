@@ -177,7 +177,7 @@ def test_command_line_on_another_shape(monkeypatch: pytest.MonkeyPatch, tmp_path
     ("arguments", "message"),
     [
         (["--shape", "Qshape"], "shape must be one of Angle"),
-        (["--method", "magic"], "method must be one of promp, smp"),
+        (["--method", "magic"], "--method.? must be of promp, smp"),
         (["--obstacle", "1,2"], "obstacle must be 3 numbers"),
         (["--goal", "here"], "goal must be 2 numbers"),
         (["--goal", "0,1", "--obstacle", "0,0,2"], "goal .* inside or touches obstacles"),

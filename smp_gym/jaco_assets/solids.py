@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+__all__ = ["AXES", "Box", "Cylinder", "Shape", "Vector", "clipped", "enclosing_ball"]
+
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 

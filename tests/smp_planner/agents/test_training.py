@@ -1,9 +1,9 @@
-import importlib.util
+"""Training of agents, on short trainings and episodes whose outcome is known."""
+
 import json
-import sys
+import runpy
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import gymnasium as gym
@@ -17,8 +17,11 @@ from typer.testing import CliRunner, Result
 
 from smp_gym.assets import asset_path
 from smp_gym.observation import MAX_EPISODE_STEPS
+from smp_planner.agents.evaluations import evaluate, read_evaluations
+from smp_planner.agents.hyper_parameters import HyperParameters
+from smp_planner.agents.training import load_checkpoint, make_model
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "train_agent.py"
+SCRIPT = Path(__file__).parents[3] / "scripts" / "train_agent.py"
 ID = "smp_gym/Placement-v0"
 TINY: dict[str, Any] = {
     "environments": 1,
@@ -37,55 +40,43 @@ def _seen(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     return FilterObservation(env, TINY["observations"])
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("train_agent", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def _write(path: Path, settings: Any) -> Path:
     path.write_text(json.dumps(settings))
     return path
 
 
-def _train(script: ModuleType, *arguments: str) -> Result:
+def _train(*arguments: str) -> Result:
     app = typer.Typer()
-    app.command()(script.main)
+    app.command()(runpy.run_path(str(SCRIPT))["main"])
     return CliRunner().invoke(app, arguments, env={"COLUMNS": "500"})
 
 
 @pytest.fixture(scope="module")
-def trained(script: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which a training was ended early and then gone on with."""
     folder = tmp_path_factory.mktemp("agent")
     settings = _write(folder / "settings.json", TINY)
     for steps in ("450", "600"):
         result = _train(
-            script, "--settings", str(settings), "--out", str(folder / "out"), "--steps", steps,
+            "--settings", str(settings), "--out", str(folder / "out"), "--steps", steps,
             "--every", "300", "--episodes", "1", "--final-episodes", "1",
         )  # fmt: skip
         assert result.exit_code == 0, result.output
     return folder
 
 
-def test_training_learns_from_hindsight_and_goes_on(script: ModuleType, trained: Path) -> None:
-    evaluations = script.read_evaluations(trained / "out" / "evaluations.csv")
+def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
+    evaluations = read_evaluations(trained / "out" / "evaluations.csv")
     assert [e.steps for e in evaluations] == [300, 450, 600]
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
-    model = script.load_checkpoint(trained / "out", env)
+    model = load_checkpoint(trained / "out", env)
     assert model.num_timesteps == 600
     # One gradient step for each step from the second after `learning_starts` on.
     assert model._n_updates == 600 - MAX_EPISODE_STEPS - 1
     # A step is counted before it is stored.
     assert model.replay_buffer.size() >= 600 - 1
-    settings = script.Settings(**TINY)
-    untrained = script.make_model(env, settings, seed=0).get_parameters()["policy"]
+    settings = HyperParameters(**TINY)
+    untrained = make_model(env, settings, seed=0).get_parameters()["policy"]
     change = [
         float((model.get_parameters()["policy"][name] - value).abs().max())
         for name, value in untrained.items()
@@ -158,9 +149,9 @@ class _Known(gym.Env[np.ndarray, np.ndarray]):
         return np.zeros(1, np.float32), -1.0, self.left <= 0, False, info
 
 
-def test_evaluation_counts(script: ModuleType) -> None:
+def test_evaluation_counts() -> None:
     env = _Known()
-    evaluation = script.evaluate(SAC("MlpPolicy", env, device="cpu"), env, range(1, 6))
+    evaluation = evaluate(SAC("MlpPolicy", env, device="cpu"), env, range(1, 6))
     assert (evaluation.successes, evaluation.collisions, evaluation.episodes) == (2, 3, 5)
     assert evaluation.mean_steps == 3.0
     # Wilson's interval by its formula.
@@ -170,14 +161,14 @@ def test_evaluation_counts(script: ModuleType) -> None:
     assert (evaluation.low, evaluation.high) == pytest.approx((centre - half, centre + half))
 
 
-def test_the_shipped_hyper_parameters_are_accepted(script: ModuleType) -> None:
+def test_the_shipped_hyper_parameters_are_accepted() -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
     files = sorted(asset_path("agents").glob("*.json"))
     assert files
     for path in files:
-        settings = script.Settings.from_json(path)
+        settings = HyperParameters.from_json(path)
         small = replace(settings, sac={**settings.sac, "buffer_size": 1000})
-        assert isinstance(script.make_model(env, small, seed=0), SAC)
+        assert isinstance(make_model(env, small, seed=0), SAC)
     env.close()
 
 
@@ -192,10 +183,8 @@ def test_the_shipped_hyper_parameters_are_accepted(script: ModuleType) -> None:
         (("--settings", "/nowhere.json"), "/nowhere.json"),
     ],
 )
-def test_bad_arguments_are_named(
-    script: ModuleType, tmp_path: Path, arguments: tuple[str, ...], named: str
-) -> None:
-    result = _train(script, "--out", str(tmp_path / "out"), *arguments)
+def test_bad_arguments_are_named(tmp_path: Path, arguments: tuple[str, ...], named: str) -> None:
+    result = _train("--out", str(tmp_path / "out"), *arguments)
     assert result.exit_code == 2
     assert named in result.output
     assert not (tmp_path / "out").exists()
@@ -212,32 +201,30 @@ def test_bad_arguments_are_named(
         ({**TINY, "sac": {"learning_starts": 10}}, "learning_starts"),
     ],
 )
-def test_bad_settings_are_named(
-    script: ModuleType, tmp_path: Path, settings: Any, named: str
-) -> None:
+def test_bad_settings_are_named(tmp_path: Path, settings: Any, named: str) -> None:
     with pytest.raises(ValueError, match=named):
-        script.Settings.from_json(_write(tmp_path / "settings.json", settings))
+        HyperParameters.from_json(_write(tmp_path / "settings.json", settings))
 
 
-def test_settings_that_are_not_json(script: ModuleType, tmp_path: Path) -> None:
+def test_settings_that_are_not_json(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_text("learning_rate: 1")
     with pytest.raises(ValueError, match="must be JSON"):
-        script.Settings.from_json(path)
+        HyperParameters.from_json(path)
 
 
-def test_unknown_arguments_of_sac_are_named(script: ModuleType) -> None:
+def test_unknown_arguments_of_sac_are_named() -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
-    settings = script.Settings(1, None, {"learning_pace": 1.0}, None)
+    settings = HyperParameters(1, None, {"learning_pace": 1.0}, None)
     with pytest.raises(ValueError, match="learning_pace"):
-        script.make_model(env, settings, seed=0)
+        make_model(env, settings, seed=0)
     env.close()
 
 
-def test_a_folder_of_another_training_is_left_alone(script: ModuleType, trained: Path) -> None:
+def test_a_folder_of_another_training_is_left_alone(trained: Path) -> None:
     before = (trained / "out" / "run.json").read_text()
     result = _train(
-        script, "--settings", str(trained / "settings.json"), "--out", str(trained / "out"),
+        "--settings", str(trained / "settings.json"), "--out", str(trained / "out"),
         "--seed", "1",
     )  # fmt: skip
     assert result.exit_code == 2

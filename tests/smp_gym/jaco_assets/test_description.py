@@ -1,6 +1,5 @@
 """The packaged arm against the vendor's model, the physics engine and its own description."""
 
-import importlib
 import json
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -10,12 +9,13 @@ import numpy as np
 import pybullet
 import pytest
 import trimesh
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from smp_gym.assets import asset_path, jaco_urdf
+from smp_gym.jaco_assets.description import Link, description, link_spheres, write
+from smp_gym.jaco_assets.solids import Box
 
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 ARM = ("j2s6s200_link_base", *(f"j2s6s200_link_{i}" for i in range(1, 7)))
 FINGERS = tuple(f"j2s6s200_link_finger_{part}" for part in ("1", "tip_1", "2", "tip_2"))
 MESHES = {
@@ -158,12 +158,6 @@ def arm():
     arm = Arm(jaco_urdf())
     yield arm
     pybullet.disconnect(arm.client)
-
-
-@pytest.fixture
-def script(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    return lambda name: importlib.import_module(name)
 
 
 def test_joints_and_inertias_are_the_vendors():
@@ -358,8 +352,8 @@ def test_materials_have_one_colour_each():
     assert {m.get("name") for m in root.iter("material")} == set(named)
 
 
-def test_files_are_what_the_script_writes(script, tmp_path):
-    script("make_jaco_assets").write(tmp_path)
+def test_files_are_what_is_written_from_the_description(tmp_path):
+    write(tmp_path)
     packaged = jaco_urdf().parent
     written = {path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")}
     assert written == {path.relative_to(packaged) for path in packaged.rglob("*.*")}
@@ -374,31 +368,9 @@ def test_files_are_what_the_script_writes(script, tmp_path):
                 assert float(ours.strip(",")) == pytest.approx(float(theirs.strip(",")), abs=0.011)
 
 
-def test_enclosing_ball_is_minimal(script):
-    enclosing_ball = script("jaco_shapes").enclosing_ball
-    cube = np.stack(np.meshgrid(*[(0.0, 0.1)] * 3), axis=-1).reshape(-1, 3)
-    center, radius = enclosing_ball(cube)
-    np.testing.assert_allclose(center, 0.05, atol=1e-4)
-    assert np.sqrt(3) / 20 <= radius <= np.sqrt(3) / 20 + 2e-4
-    triangle = np.array([(0, 0, 0), (0.1, 0, 0), (0.05, 0.01, 0)])
-    assert enclosing_ball(triangle)[1] == pytest.approx(0.05, abs=2e-4)
-
-
-def test_clipped_shape_has_the_volume_of_the_part(script):
-    shapes = script("jaco_shapes")
-    half = shapes.Box((-1.0, 0.0, -1.0), (1.0, 1.0, 1.0))
-    cylinder = shapes.Cylinder("z", (0.0, 0.0), 0.05, 0.0, 0.1)
-    volume = ConvexHull(shapes.clipped(cylinder.hull(), half)).volume
-    assert volume == pytest.approx(np.pi * 0.05**2 * 0.1 / 2, rel=2e-3)
-    assert volume > np.pi * 0.05**2 * 0.1 / 2
-    beside = shapes.Box((-1.0, 0.2, -1.0), (1.0, 1.0, 1.0))
-    assert shapes.clipped(cylinder.hull(), beside).shape == (0, 3)
-
-
-def test_cell_without_content_is_an_error(script):
-    assets, shapes = script("make_jaco_assets"), script("jaco_shapes")
-    link = next(link for link in assets.LINKS if link.name == "link_1")
-    cell = shapes.Box((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))
-    empty = type(link)(link.name, link.joint, shapes=link.shapes, cells=(cell,))
+def test_cell_without_content_is_an_error():
+    link = next(link for link in description().links if link.name == "link_1")
+    cell = Box((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))
+    empty = Link(link.name, link.joint, shapes=link.shapes, cells=(cell,))
     with pytest.raises(ValueError, match="link_1"):
-        assets.link_spheres(empty)
+        link_spheres(empty)

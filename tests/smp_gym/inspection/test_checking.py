@@ -1,6 +1,6 @@
-"""The checks of `scripts/check_environments.py` on every id, but short."""
+"""The checks of environments on every id, but short."""
 
-import importlib.util
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +10,11 @@ import pytest
 import typer
 
 import smp_gym
+from smp_gym.env import ManipulationEnv
+from smp_gym.inspection import checking
 from smp_gym.physics import workcell
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SCRIPT = ROOT / "scripts" / "check_environments.py"
 IDS = [entry.id for entry in smp_gym.ENVIRONMENTS]
 STEPS = 200
@@ -21,54 +23,44 @@ MOST_GROWTH = 1.5
 """MB in the last 200 of so many resets; PyBullet, left alone, takes more than 5."""
 
 
-@pytest.fixture(scope="module")
-def script():
-    specification = importlib.util.spec_from_file_location("check_environments", SCRIPT)
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[specification.name] = module
-    specification.loader.exec_module(module)
-    yield module
-    del sys.modules[specification.name]
+@pytest.mark.parametrize("id", IDS)
+def test_checkers_of_gymnasium_and_stable_baselines3_find_nothing(id):
+    checking.check_interfaces(id)
 
 
 @pytest.mark.parametrize("id", IDS)
-def test_checkers_of_gymnasium_and_stable_baselines3_find_nothing(script, id):
-    script.check_interfaces(id)
-
-
-@pytest.mark.parametrize("id", IDS)
-def test_observations_stay_in_bounds_whatever_happens(script, id):
-    bounds = script.check_bounds(id, STEPS)
+def test_observations_stay_in_bounds_whatever_happens(id):
+    bounds = checking.check_bounds(id, STEPS)
     assert bounds.collisions >= 1
     assert 0.001 < bounds.velocity < 1.0
 
 
-def test_a_velocity_that_is_cut_is_found(script, monkeypatch):
-    encode = script.ManipulationEnv._observe
+def test_a_velocity_that_is_cut_is_found(monkeypatch):
+    encode = ManipulationEnv._observe
 
     def rushing(env):
         observation = encode(env)
         observation["observation"][12] = 10.0
         return observation
 
-    monkeypatch.setattr(script.ManipulationEnv, "_observe", rushing)
+    monkeypatch.setattr(ManipulationEnv, "_observe", rushing)
     with pytest.raises(AssertionError, match="may have been cut"):
-        script.check_bounds(IDS[0], 5)
+        checking.check_bounds(IDS[0], 5)
 
 
-def test_an_episode_is_the_same_bit_for_bit_after_others_and_in_another_process(script):
+def test_an_episode_is_the_same_bit_for_bit_after_others_and_in_another_process():
     seeds, digests = {}, []
     for entry in smp_gym.ENVIRONMENTS:
         # The reward does not reach the physics.
-        others = script.OTHER_EPISODES if entry.reward == "sparse" else 1
-        seeds[entry.id], digest = script.check_repeats(entry.id, others, other_steps=5)
+        others = checking.OTHER_EPISODES if entry.reward == "sparse" else 1
+        seeds[entry.id], digest = checking.check_repeats(entry.id, others, other_steps=5)
         digests.append(digest)
-    assert script.digests_elsewhere(seeds) == digests
+    assert checking.digests_elsewhere(seeds) == digests
     assert len(set(digests)) == len(IDS)
 
 
-def test_an_episode_that_remembers_another_is_found(script, monkeypatch):
-    reset = script.ManipulationEnv.reset
+def test_an_episode_that_remembers_another_is_found(monkeypatch):
+    reset = ManipulationEnv.reset
 
     def leaking(env, **arguments):
         env.resets = getattr(env, "resets", 0) + 1
@@ -76,15 +68,15 @@ def test_an_episode_that_remembers_another_is_found(script, monkeypatch):
         observation["observation"][0] += 1e-6 * env.resets
         return observation, info
 
-    monkeypatch.setattr(script.ManipulationEnv, "reset", leaking)
+    monkeypatch.setattr(ManipulationEnv, "reset", leaking)
     with pytest.raises(AssertionError, match="differs after 1 other"):
-        script.check_repeats(IDS[0], 1, other_steps=1)
+        checking.check_repeats(IDS[0], 1, other_steps=1)
 
 
-def test_memory_does_not_grow_along_resets(script, monkeypatch):
+def test_memory_does_not_grow_along_resets(monkeypatch):
     monkeypatch.setattr(workcell, "_SCENES_PER_WORLD", 50)
-    env = script.make(IDS[0], difficulty="hard")
-    memory = script.memory_along_resets(env, RESETS, samples=4, new_scene_every=RESETS // 5)
+    env = checking.make(IDS[0], difficulty="hard")
+    memory = checking.memory_along_resets(env, RESETS, samples=4, new_scene_every=RESETS // 5)
     env.close()
     assert len(memory) == 4
     assert np.diff(memory[1:]).sum() < MOST_GROWTH, memory
@@ -93,10 +85,10 @@ def test_memory_does_not_grow_along_resets(script, monkeypatch):
 def test_memory_that_grows_is_seen():
     """A world that is never rebuilt keeps the shapes of all its scenes."""
     code = (
-        "import sys; sys.path.insert(0, 'scripts'); import check_environments as script\n"
-        "from smp_gym import workcell; workcell._SCENES_PER_WORLD = 10**6\n"
-        f"env = script.make({IDS[0]!r}, difficulty='hard')\n"
-        f"print(*script.memory_along_resets(env, {RESETS}, 4, new_scene_every={RESETS // 5}))"
+        "from smp_gym.inspection import checking\n"
+        "from smp_gym.physics import workcell; workcell._SCENES_PER_WORLD = 10**6\n"
+        f"env = checking.make({IDS[0]!r}, difficulty='hard')\n"
+        f"print(*checking.memory_along_resets(env, {RESETS}, 4, new_scene_every={RESETS // 5}))"
     )
     # In a process of its own: here, what other tests have freed would be used up first.
     output = subprocess.run(
@@ -111,6 +103,6 @@ def test_worlds_are_rebuilt_before_they_weigh_much():
     assert workcell._SCENES_PER_WORLD <= 500
 
 
-def test_unknown_ids_are_named(script):
+def test_unknown_ids_are_named():
     with pytest.raises(typer.BadParameter, match=r"Placement-v0.*got 'smp_gym/Juggling-v0'"):
-        script.main(ids="smp_gym/Juggling-v0")
+        runpy.run_path(str(SCRIPT))["main"](ids="smp_gym/Juggling-v0")

@@ -12,9 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from jaco_shapes import Shape
 from numpy.typing import NDArray
+from rich.table import Table
 from scipy.spatial import cKDTree
+
+from smp_gym.jaco_assets.description import description, link_spheres
+from smp_gym.jaco_assets.solids import Shape
+
+__all__ = ["Coverage", "coverage_table", "measure", "mesh_points"]
 
 FloatArray = NDArray[np.float64]
 
@@ -73,3 +78,30 @@ def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) ->
         shape_overshoot=(float(overshoot[0].mean()), float(overshoot[0].max())),
         sphere_overshoot=(float(overshoot[1].mean()), float(overshoot[1].max())),
     )
+
+
+def coverage_table(meshes: Path) -> Table:
+    """Return how each link's shapes and spheres cover the vendor's meshes.
+
+    Args:
+        meshes: folder of the vendor's meshes.
+    """
+    table = Table(title="Coverage of the vendor's meshes: mean / greatest distance, mm")
+    for column in ("link", "surface outside", "shapes", "overshoot", "spheres", "overshoot "):
+        table.add_column(column, justify="left" if column == "link" else "right", no_wrap=True)
+    for link in description().links:
+        if not link.shapes:
+            continue
+        spheres = np.array(link_spheres(link))
+        found = measure(mesh_points(meshes, link.meshes), link.shapes, spheres)
+        mean, greatest = (1e3 * value for value in found.shape_overshoot)
+        sphere_mean, sphere_greatest = (1e3 * value for value in found.sphere_overshoot)
+        table.add_row(
+            link.name,
+            f"{found.outside:.2%}, {1e3 * found.gap:.2f} mm",
+            str(len(link.shapes)),
+            f"{mean:.1f} / {greatest:.1f}",
+            str(len(spheres)),
+            f"{sphere_mean:.1f} / {sphere_greatest:.1f}",
+        )
+    return table

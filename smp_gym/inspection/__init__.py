@@ -1,0 +1,1 @@
+"""Inspection of environments: checks at length, feasible references, speed, sheets of scenes."""

@@ -1,0 +1,1 @@
+"""Reinforcement-learning agents on the tasks, trained with stable-baselines3."""

@@ -1,0 +1,74 @@
+"""Hyper-parameters of agents: data, a JSON file per environment id in `envs_assets/agents/`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from smp_gym.observation import MAX_EPISODE_STEPS, observation_space
+from smp_gym.scene import TASKS
+
+__all__ = ["HyperParameters"]
+
+
+@dataclass(frozen=True)
+class HyperParameters:
+    """Hyper-parameters of one agent.
+
+    Attributes:
+        environments: stepped in turn, in this process.
+        observations: entries of the observation that the agent sees; None for all. Where there are
+            no obstacles, leaving out their rows of zeros makes learning faster.
+        sac: arguments of `stable_baselines3.SAC`.
+        her: arguments of `stable_baselines3.HerReplayBuffer`; None for none.
+    """
+
+    environments: int
+    observations: list[str] | None
+    sac: dict[str, Any]
+    her: dict[str, Any] | None
+
+    @classmethod
+    def from_json(cls, path: Path) -> HyperParameters:
+        """Read hyper-parameters.
+
+        Args:
+            path: a JSON file with an entry for each attribute.
+
+        Raises:
+            OSError: there is no such file.
+            ValueError: the file is not JSON, or its entries are not those of this class.
+        """
+        try:
+            entries = json.loads(path.read_text())
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{path} must be JSON: {error}") from None
+        names = [field.name for field in fields(cls)]
+        if not isinstance(entries, dict) or set(entries) != set(names):
+            found = sorted(entries) if isinstance(entries, dict) else type(entries).__name__
+            raise ValueError(f"{path} must have the entries {', '.join(names)}; got {found}")
+        settings = cls(**entries)
+        if not (isinstance(settings.environments, int) and settings.environments >= 1):
+            raise ValueError(
+                f"environments in {path} must be at least 1, got {settings.environments!r}"
+            )
+        known = list(observation_space(TASKS[0]))
+        if settings.observations is not None and not (
+            isinstance(settings.observations, list)
+            and settings.observations
+            and set(settings.observations) <= set(known)
+        ):
+            raise ValueError(
+                f"observations in {path} must be null or of {', '.join(known)}; "
+                f"got {settings.observations!r}"
+            )
+        if settings.her is not None:
+            needed = settings.environments * MAX_EPISODE_STEPS
+            if settings.sac.get("learning_starts", 0) < needed:
+                raise ValueError(
+                    f"sac.learning_starts in {path} must be at least {needed}, for HER samples "
+                    f"from whole episodes; got {settings.sac.get('learning_starts', 0)}"
+                )
+        return settings
