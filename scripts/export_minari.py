@@ -12,15 +12,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.datasets.minari_export import Act, dataset_path, export_demonstrations
+from smp_gym.datasets.minari_export import dataset_path, export_demonstrations
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.policy.tracking import Track, gripper_event
 
 
-def acts(demonstrations: Demonstrations) -> list[Act]:
+def tracks(demonstrations: Demonstrations) -> list[Track]:
     """Return what executes each demonstration as it was given, its own gripper included."""
     return [
-        Track(configurations, float(duration), gripper_event(gripper[None])).action
+        Track(configurations, float(duration), gripper_event(gripper[None]))
         for configurations, duration, gripper in zip(
             demonstrations.configurations,
             demonstrations.durations,
@@ -60,7 +60,7 @@ def main(
             playing = progress.add_task(demonstrations.task, total=len(demonstrations))
             dataset = export_demonstrations(
                 demonstrations,
-                acts(demonstrations),
+                tracks(demonstrations),
                 dataset_id,
                 difficulty=difficulty,
                 overwrite=overwrite,
