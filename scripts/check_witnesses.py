@@ -19,7 +19,7 @@ from smp_gym.rollout import play
 from smp_gym.sampling import sample_with_witness
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark.options import chosen_names
-from smp_planner.benchmark.report import rate_interval
+from smp_planner.benchmark.summary import rate_interval
 
 
 @functools.lru_cache(maxsize=1)

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
 from smp_planner.benchmark.options import chosen_names
-from smp_planner.benchmark.row_file import ResultsError
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
 

@@ -45,7 +45,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.assets import asset_path
 from smp_gym.observation import MAX_EPISODE_STEPS, observation_space
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
-from smp_planner.benchmark.report import rate_interval
+from smp_planner.benchmark.summary import rate_interval
 
 _CHECKPOINT, _CHECKPOINT_NEW = "checkpoint", "checkpoint.new"
 _MODEL, _REPLAY_BUFFER = "model.zip", "replay_buffer.pkl"

@@ -24,7 +24,7 @@ from rich.table import Table
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
 from smp_planner.benchmark.options import chosen_names
-from smp_planner.benchmark.store import write_json
+from smp_planner.benchmark.results_folder import write_json
 from smp_planner.planners.judging import REACHED
 from smp_planner.policy.planner_policy import PlannerPolicy
 

@@ -1,4 +1,4 @@
-"""The one episode loop: any policy, from a reset to the end of the episode, seen by any recorders."""
+"""The one episode loop: any policy, from the reset to the end, seen by any recorders."""
 
 from __future__ import annotations
 

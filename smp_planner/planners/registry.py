@@ -122,7 +122,9 @@ def resolve(spec: str) -> Method:
     for entry in metadata.entry_points(group=GROUP):
         if entry.name == spec:
             return _from_outside(spec, spec, entry.value)
-    raise ValueError(f"unknown method {spec!r}; there are: {', '.join(taken)}, or name=module:Class")
+    raise ValueError(
+        f"unknown method {spec!r}; there are: {', '.join(taken)}, or name=module:Class"
+    )
 
 
 def _make(name: str, demonstrations: Demonstrations, **settings: Any) -> Planner:

@@ -269,9 +269,7 @@ class PlannerPolicy:
         write_policy(Path(path), SavedPolicy(*self._made_by, self.seed, self.demonstrations))
 
     @classmethod
-    def load(
-        cls, path: str | Path, factory: Callable[..., Planner] | None = None
-    ) -> PlannerPolicy:
+    def load(cls, path: str | Path, factory: Callable[..., Planner] | None = None) -> PlannerPolicy:
         """Read what `save` wrote; runs no code from the file, nor any that the file names.
 
         Args:

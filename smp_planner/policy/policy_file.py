@@ -80,6 +80,4 @@ def read_policy(path: Path) -> SavedPolicy:
     found = {name: header.get(name) for name in expected} if isinstance(header, dict) else header
     if found != expected:
         raise ValueError(f"{path} must be a saved policy {expected}, got {found}")
-    return SavedPolicy(
-        header["method"], header["settings"], int(header["seed"]), demonstrations
-    )
+    return SavedPolicy(header["method"], header["settings"], int(header["seed"]), demonstrations)

@@ -169,7 +169,10 @@ def test_an_episode_that_fails_is_refused_and_nothing_changes(copied, script, sh
     before = contents(root)
     some = two(shipped)
     good, _ = script.tracks(some)
-    for policies, named in (([Dive(), good], "1 did not succeed: coll"), ([good, Dive()], "2 did not")):
+    for policies, named in (
+        ([Dive(), good], "1 did not succeed: coll"),
+        ([good, Dive()], "2 did not"),
+    ):
         with pytest.raises(RuntimeError, match=named):
             export_demonstrations(some, policies, overwrite=True)
         with pytest.raises(RuntimeError, match=named):
