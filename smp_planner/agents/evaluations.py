@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from stable_baselines3 import SAC
 
-from smp_planner.benchmark.report import rate_interval
+from smp_planner.benchmark.summary import rate_interval
 
 __all__ = ["Evaluation", "draw_curve", "evaluate", "read_evaluations", "write_evaluations"]
 

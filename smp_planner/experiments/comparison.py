@@ -16,13 +16,8 @@ from smp_planner.benchmark.metrics import log_dimensionless_jerk, path_lengths
 from smp_planner.experiments.figures import draw_side_by_side
 from smp_planner.experiments.lasa_scenes import LasaScene, Method, learn
 from smp_planner.experiments.paths import classes, clearances, similarity
-<<<<<<< HEAD
-from smp_planner.experiments.tables import Column
-from smp_planner.library.smp import SMP, Plan
-=======
 from smp_planner.experiments.tables import Column, Row
-from smp_planner.library.smp import SMP, PathPlan
->>>>>>> scripts
+from smp_planner.library.smp import SMP, Plan
 from smp_planner.planning.modes import group
 
 __all__ = [

@@ -133,12 +133,11 @@ def tuning_row(
 
 
 def _described(method: Method) -> str:
-    way, given = method.way, method.settings
+    given, own = method.settings, method.adaptation.settings.model_dump()
     first, last = given.edge_width
-    assert isinstance(way, Flow | GaussianVI | OptimisedMean | Stein)
-    text = f"{way.iterations} iterations, margin {given.margin:g}"
-    if isinstance(way, Flow):
-        return f"{text}, edge {first:g} to {last:g}, fit within {way.fit_std:g}"
+    text = f"{own['iterations']} iterations, margin {given.margin:g}"
+    if "fit_std" in own:
+        return f"{text}, edge {first:g} to {last:g}, fit within {own['fit_std']:g}"
     return f"{text}, λ {given.obstacle_weight:g}"
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -13,8 +11,8 @@ from typing import Any
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.report import mean_interval, rate_interval
-from smp_planner.benchmark.store import write_atomically, write_json
+from smp_planner.benchmark.results_folder import write_atomically, write_json, write_table
+from smp_planner.benchmark.summary import mean_interval, rate_interval
 from smp_planner.experiments.table_two.repetitions import METHODS, RepetitionRow
 from smp_planner.experiments.table_two.scenes import RULE, load_scenes
 
@@ -224,15 +222,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _csv(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def _repetitions_csv(rows: Sequence[RepetitionRow]) -> str:
+def _write_repetitions(path: Path, rows: Sequence[RepetitionRow]) -> None:
     plain = ("task", "method", "repetition")
     counted = ("free_waypoints", "modes", "entropy", "planning_time")
     parts = [(part, metric) for part in ("all", "successful", "floor") for metric in _SIMILARITY]
@@ -251,10 +241,10 @@ def _repetitions_csv(rows: Sequence[RepetitionRow]) -> str:
                 *(found[part].get(metric) for part, metric in parts),
             ]
         )
-    return _csv(header, body)
+    write_table(path, header, body)
 
 
-def _trajectories_csv(rows: Sequence[RepetitionRow]) -> str:
+def _write_trajectories(path: Path, rows: Sequence[RepetitionRow]) -> None:
     header = ("task", "method", "repetition", "particle", "success", "cause", "steps", "planned")
     body = [
         (row.task, row.method, row.repetition, particle, *values)
@@ -263,7 +253,7 @@ def _trajectories_csv(rows: Sequence[RepetitionRow]) -> str:
             zip(row.success, row.causes, row.steps, row.planned, row.lengths, strict=True)
         )
     ]
-    return _csv((*header, "length"), body)
+    write_table(path, (*header, "length"), body)
 
 
 def write_report(rows: Sequence[RepetitionRow], folder: Path) -> dict[str, Any]:
@@ -277,8 +267,8 @@ def write_report(rows: Sequence[RepetitionRow], folder: Path) -> dict[str, Any]:
         The summary.
     """
     summary = summarise(rows)
-    write_atomically(folder / "trajectories.csv", _trajectories_csv(rows))
-    write_atomically(folder / "repetitions.csv", _repetitions_csv(rows))
+    _write_trajectories(folder / "trajectories.csv", rows)
+    _write_repetitions(folder / "repetitions.csv", rows)
     write_json(folder / "summary.json", summary)
     write_atomically(folder / "table_two.md", markdown(summary))
     return summary
