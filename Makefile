@@ -13,7 +13,7 @@ EPISODES ?= 20
 OUT ?= results/demo
 BIN := .venv/bin
 
-.PHONY: help install demo test lint format clean
+.PHONY: help install demo test lint format
 
 help:
 	@echo "make install   set up .venv with everything (done by the others when needed)"
@@ -21,7 +21,6 @@ help:
 	@echo "make test      ruff, mypy and all tests"
 	@echo "make lint      ruff and mypy only"
 	@echo "make format    format the code"
-	@echo "make clean     remove compiled code: needed after changing code that numba compiles"
 
 install: .venv/installed
 
@@ -60,7 +59,3 @@ lint: install
 format: install
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
-
-# numba notices a change in a file, but not in what it imports and compiles into its own code.
-clean:
-	find smp_gym smp_planner -name '*.nbi' -delete -o -name '*.nbc' -delete

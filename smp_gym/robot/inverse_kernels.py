@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.robot import kinematics
 
 __all__ = ["reach_points", "reach_pose"]
@@ -23,7 +23,7 @@ _LARGEST_STEP = 0.3
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@kernel
 def _frames(configuration: Array, base: Array, origins: Array) -> Array:
     """Return the (7, 4, 4) transforms from the base frame to the links."""
     frames = np.zeros((7, 4, 4))
@@ -38,7 +38,7 @@ def _frames(configuration: Array, base: Array, origins: Array) -> Array:
     return frames
 
 
-@njit(cache=True)
+@kernel
 def _product(a: Array, b: Array) -> Array:
     out = np.zeros((4, 4))
     for i in range(4):
@@ -48,7 +48,7 @@ def _product(a: Array, b: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def _solved(matrix: Array, right: Array) -> Array:
     """Return the solution of a small linear system, by elimination with pivots."""
     count = len(right)
@@ -73,7 +73,7 @@ def _solved(matrix: Array, right: Array) -> Array:
     return x
 
 
-@njit(cache=True)
+@kernel
 def _newton(
     near: Array, target: Array, tool: Array, rotate: bool, base: Array, origins: Array
 ) -> tuple[Array, float]:
@@ -126,7 +126,7 @@ def _newton(
     return q, np.inf
 
 
-@njit(cache=True)
+@kernel
 def _each_point(near: Array, target: Array, tool: Array, base: Array, origins: Array) -> Array:
     out = np.full(near.shape, np.nan)
     for n in range(len(near)):

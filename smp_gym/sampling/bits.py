@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from smp_gym.compiling import kernel
 
 __all__ = ["ones", "packed"]
 
 
-@njit(cache=True)
+@kernel
 def packed(flags: NDArray[np.bool_]) -> NDArray[np.uint64]:
     """Return (M, N) flags as (M, ceil(N / 64)) words of bits."""
     out = np.zeros((flags.shape[0], (flags.shape[1] + 63) // 64), np.uint64)
@@ -20,7 +21,7 @@ def packed(flags: NDArray[np.bool_]) -> NDArray[np.uint64]:
     return out
 
 
-@njit(cache=True)
+@kernel
 def ones(word: np.uint64) -> np.int64:
     """Return how many bits of a word are set (the parallel sum of Knuth, TAOCP 7.1.3)."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.sampling.bits import ones, packed
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.scene import SHAPES
@@ -88,7 +88,7 @@ def choose(
     return None if chosen[0] < 0 else [int(index) for index in order[chosen]]
 
 
-@njit(cache=True)
+@kernel
 def _beside(rows: FloatArray, width: FloatArray, a: int, b: int) -> bool:
     """Return whether two obstacles stand beside or over one another."""
     if abs(rows[a, 3] - rows[b, 3]) >= rows[a, 8] + rows[b, 8]:
@@ -97,7 +97,7 @@ def _beside(rows: FloatArray, width: FloatArray, a: int, b: int) -> bool:
     return distance >= _OVERLAP * (width[a] + width[b])
 
 
-@njit(cache=True)
+@kernel
 def _best_pair(
     rows: FloatArray, width: FloatArray, blocks: NDArray[np.uint64], clears: NDArray[np.uint64]
 ) -> tuple[int, int]:
@@ -132,7 +132,7 @@ def _best_pair(
     return first, second
 
 
-@njit(cache=True)
+@kernel
 def _best_at(
     slot: int,
     chosen: NDArray[np.int64],
@@ -174,7 +174,7 @@ def _best_at(
     return best
 
 
-@njit(cache=True)
+@kernel
 def _choose(
     rows: FloatArray,
     width: FloatArray,

@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.sampling.kernels import point_distance
 
 __all__ = ["Grid", "near", "rasterise"]
@@ -60,7 +60,7 @@ def near(grid: Grid, rows: FloatArray, distance: float, members: int) -> BoolArr
     return _collect(grid.words, reach, rows, _ORIGIN, _SPACING, members)
 
 
-@njit(cache=True)
+@kernel
 def _set_bits(
     paths: FloatArray,
     kind: NDArray[np.int64],
@@ -82,7 +82,7 @@ def _set_bits(
     return words
 
 
-@njit(cache=True)
+@kernel
 def _collect(
     words: NDArray[np.uint64],
     reach: FloatArray,

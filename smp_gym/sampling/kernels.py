@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from smp_gym.compiling import kernel
 
 __all__ = [
     "OBSTACLE_COLUMNS",
@@ -33,7 +34,7 @@ _BOX, _CYLINDER = 0, 1
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@kernel
 def sphere_paths(
     configurations: Array,
     base: Array,
@@ -93,7 +94,7 @@ def sphere_paths(
     return out
 
 
-@njit(cache=True)
+@kernel
 def point_distance(x: float, y: float, z: float, obstacle: Array) -> float:
     """Return the signed distance of a point to an obstacle's surface, negative inside."""
     dx = x - obstacle[1]
@@ -113,7 +114,7 @@ def point_distance(x: float, y: float, z: float, obstacle: Array) -> float:
     return math.sqrt(dx * dx + dy * dy + dz * dz) - obstacle[6]
 
 
-@njit(cache=True)
+@kernel
 def point_distances(points: Array, obstacles: Array) -> Array:
     """Return the signed distances (M, N) of points (N, 3) to the surfaces of obstacles (M, 9)."""
     out = np.empty((len(obstacles), len(points)))
@@ -123,7 +124,7 @@ def point_distances(points: Array, obstacles: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def _bounding_radius(obstacle: Array) -> float:
     if obstacle[0] == _BOX:
         return math.sqrt(obstacle[6] ** 2 + obstacle[7] ** 2 + obstacle[8] ** 2)
@@ -132,7 +133,7 @@ def _bounding_radius(obstacle: Array) -> float:
     return float(obstacle[6])
 
 
-@njit(cache=True)
+@kernel
 def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: float) -> Array:
     """Return the least distance between spheres on a path and each obstacle.
 
@@ -164,7 +165,7 @@ def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: flo
     return out
 
 
-@njit(cache=True)
+@kernel
 def _blocked(centers: Array, radius: Array, obstacle: Array, depth: float) -> bool:
     """Return whether an obstacle reaches `depth` deep into a path's spheres."""
     bound = _bounding_radius(obstacle) - depth
@@ -184,7 +185,7 @@ def _blocked(centers: Array, radius: Array, obstacle: Array, depth: float) -> bo
     return False
 
 
-@njit(cache=True)
+@kernel
 def blocked_paths(
     centers: Array, radius: Array, obstacles: Array, depth: float
 ) -> NDArray[np.bool_]:
@@ -208,7 +209,7 @@ def blocked_paths(
     return out
 
 
-@njit(cache=True)
+@kernel
 def least_clearances(centers: Array, radius: Array, obstacles: Array, enough: float) -> Array:
     """Return the least distance of each path's spheres to any obstacle, (N,).
 
@@ -225,7 +226,7 @@ def least_clearances(centers: Array, radius: Array, obstacles: Array, enough: fl
     return out
 
 
-@njit(cache=True)
+@kernel
 def lowest(centers: Array, radius: Array) -> Array:
     """Return the height of the lowest point of each path's spheres, (N,), of (N, T, S, 3) paths."""
     out = np.full(len(centers), np.inf)
@@ -236,7 +237,7 @@ def lowest(centers: Array, radius: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def clear_of_itself(
     centers: Array, radius: Array, pairs: NDArray[np.int64], clearance: float
 ) -> bool:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.sampling.bits import ones, packed
 from smp_gym.sampling.choice import REPEATED, apart
 from smp_gym.sampling.legs import LegFamily
@@ -49,7 +49,7 @@ def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator
     return rows[fits & (rows[:, 3] >= rows[:, 8])]
 
 
-@njit(cache=True)
+@kernel
 def _common(a: Words, b: Words) -> np.int64:
     """Return how many bits are set in both."""
     count = np.int64(0)
@@ -58,7 +58,7 @@ def _common(a: Words, b: Words) -> np.int64:
     return count
 
 
-@njit(cache=True)
+@kernel
 def _best_pair(
     blocks: tuple[Words, Words],
     counts: tuple[int, int],

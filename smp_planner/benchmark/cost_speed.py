@@ -12,7 +12,7 @@ from rich.table import Table
 from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.benchmark.timing import median_time
-from smp_planner.collision.costs import REACH, CollisionCost, SelfCollisionCost
+from smp_planner.collision.costs import CUTOFF_WIDTHS, CollisionCost, SelfCollisionCost
 from smp_planner.collision.robot_model import RobotModel, jaco_model
 from smp_planner.collision.verification import check_collisions
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
@@ -65,7 +65,7 @@ def autograd_collision(
         align_corners=True,
     ).reshape(centers.shape[:-1])
     radius = torch.as_tensor(robot.radius[moving], dtype=dtype) + MARGIN
-    reach = (radius + REACH * edge_width).clamp(max=float(grid.values.max()))
+    reach = (radius + CUTOFF_WIDTHS * edge_width).clamp(max=float(grid.values.max()))
     floor = torch.sigmoid((radius - reach) / edge_width) ** 2
     excess = (torch.sigmoid((radius - distance) / edge_width) ** 2 - floor).clamp(min=0.0)
     value = excess.sum(dim=(1, 2))

@@ -18,7 +18,7 @@ from smp_gym.observation import DecodedObservation, decode
 from smp_gym.registration import environment_id
 from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
-from smp_planner.planning.problem import Plan
+from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [

@@ -19,10 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import ot
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.distance import cdist, pdist
+
+from smp_gym.compiling import kernel
 
 __all__ = [
     "COMPARED_SAMPLES",
@@ -370,7 +371,7 @@ def _rms(a: FloatArray, b: FloatArray) -> FloatArray:
     return distances / math.sqrt(a.shape[1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _frechet_matrix(a, b):
     distances = np.empty((a.shape[0], b.shape[0]))
     row = np.empty(b.shape[1])
@@ -380,7 +381,7 @@ def _frechet_matrix(a, b):
     return distances
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _squared_frechet(first, second, row):
     """Return the squared distance of (T,d) and (U,d); `row` (U,) is overwritten.
 

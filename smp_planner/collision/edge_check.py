@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.robot.kinematics import concatenate
 from smp_gym.scene import Obstacle
 from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
@@ -78,7 +78,7 @@ class Scratch(NamedTuple):
     self_gap: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def new_scratch(world):
     """Return the `Scratch` for a `World`."""
     joints, spheres = world.robot.origins.shape[0], world.robot.link.shape[0]
@@ -99,7 +99,7 @@ def new_scratch(world):
     )
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def _measure(world, scratch, row):
     """Write the gaps at `scratch.angles` to a row; return whether all are wide enough.
 
@@ -145,7 +145,7 @@ def _measure(world, scratch, row):
     return scratch.self_gap[row] >= 2.0 * TOLERANCE
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def edge_is_free(world, scratch, start, end):
     """Return whether the straight edge between configurations (n,) rad is certainly free.
 
@@ -197,7 +197,7 @@ def edge_is_free(world, scratch, start, end):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _edges(world, starts, ends, free):
     scratch = new_scratch(world)
     for i in range(starts.shape[0]):

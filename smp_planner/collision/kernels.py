@@ -19,8 +19,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from smp_gym.compiling import kernel
 from smp_planner.occupancy.grid import lookup
 
 __all__ = [
@@ -46,7 +46,7 @@ _HALF_PI = 1.5707963267948966
 _HALF_PI_REST = 6.123233995736766e-17
 
 
-@njit(cache=True, fastmath={"contract", "arcp", "nsz"}, nogil=True)
+@kernel(fastmath={"contract", "arcp", "nsz"})
 def sine_cosine(angles, sine, cosine):
     """Write sine and cosine of angles (N,) rad, twenty times faster than one by one.
 
@@ -70,7 +70,7 @@ def sine_cosine(angles, sine, cosine):
         cosine[i] = -b if turn == 1 or turn == 2 else b
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def chain(sine, cosine, base, origins, rotation, position):
     """Write the pose of each link at each step.
 
@@ -104,7 +104,7 @@ def chain(sine, cosine, base, origins, rotation, position):
                 )
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def place(rotation, position, link, center, placed):
     """Write the centres (S,3,T) m in the base frame of spheres given on links."""
     for s in range(link.shape[0]):
@@ -118,7 +118,7 @@ def place(rotation, position, link, center, placed):
                 )
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def project(rotation, position, force, moment, gradient):
     """Write the joint torques (n,T) that forces and moments about the origin cause.
 
@@ -148,7 +148,7 @@ def project(rotation, position, force, moment, gradient):
             moment[k - 1, 2, t] += mz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def least_of_blocks(values):
     """Return the least value that the interpolant takes in each block of `BLOCK`^3 cells.
 
@@ -178,7 +178,7 @@ def least_of_blocks(values):
     return least
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def map_collision(
     angles,
     base,
@@ -272,7 +272,7 @@ def map_collision(
         value[p] = total
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def _within(first, second, distance, squares):
     """Write squared distances (T,) of two moving points (3,T); return how many are less."""
     count = 0
@@ -286,7 +286,7 @@ def _within(first, second, distance, squares):
     return count
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def self_collision(
     angles,
     base,
@@ -387,7 +387,7 @@ def self_collision(
         value[p] = total
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def carried_points(angles, base, origins, link, point, placed, jacobians):
     """Write where a point fixed to the last link is, and how it moves with each joint.
 

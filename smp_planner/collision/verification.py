@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION, check_trajectories
 from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
@@ -91,7 +91,7 @@ class Verification:
     executable: BoolArray
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def self_gap_of(placed, balls, step, robot):
     """Return the least gap, m, between spheres of `robot.pairs` at a step; at most the horizon."""
     least = _SELF_HORIZON
@@ -117,7 +117,7 @@ def self_gap_of(placed, balls, step, robot):
     return least
 
 
-@njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST)
 def _check(
     trajectories,
     robot,

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.metrics import compare, resample
-from smp_planner.collision.robot_model import jaco_model
 from smp_planner.experiments.paths import diversity
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.planners import make_planner
@@ -110,7 +109,7 @@ def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
 @lru_cache(maxsize=64)
 def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
     own: dict[str, Any] = dict(VARIANTS[variant]) | {"retries": 0}
-    usual = make_planner("smp", task).settings.smooth_std
+    usual = make_planner("smp", task).settings["smooth_std"]
     own["smooth_std"] = usual * PRIORS[prior]
     if method == "promp":
         own = {"smooth_std": own["smooth_std"], "particles": _REFERENCE_SIZE}
@@ -133,8 +132,7 @@ def _problem(policy: PlannerPolicy, task: str, difficulty: str, seed: int) -> Pr
 
 def _paths(problem: Problem, trajectories: FloatArray) -> FloatArray:
     """Return the paths (P, T, 3) m of the carried point."""
-    robot = jaco_model(problem.attached)
-    return robot.carried_points(trajectories, problem.goals[0].point)[0]
+    return problem.robot.carried_points(trajectories, problem.goals[0].point)[0]
 
 
 def measure_cell(cell: Cell) -> Row:

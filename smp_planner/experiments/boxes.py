@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
-from smp_planner.adaptation import Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2B,
@@ -94,7 +94,7 @@ def box_rows(particles: int, repetitions: int) -> list[Row]:
     """
     rows: list[Row] = []
     for scene in (FIGURE_1, FIGURE_2B):
-        primitive, method = learn(scene.shape), Method(Stein(), settings())
+        primitive, method = learn(scene.shape), Method(adaptation("smp"), settings())
         for seed in track(range(repetitions), scene.shape):
             rows += [box_row(prior, primitive, scene, method, particles, seed) for prior in PRIORS]
     return rows

@@ -109,9 +109,7 @@ def compare(
     return rows
 
 
-def adapted(
-    primitive: SMP, scene: LasaScene, method: Method, particles: int, seed: int
-) -> Plan:
+def adapted(primitive: SMP, scene: LasaScene, method: Method, particles: int, seed: int) -> Plan:
     """Return a scene's plan by a method.
 
     Args:

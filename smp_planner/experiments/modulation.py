@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
-from smp_planner.adaptation import Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted
 from smp_planner.experiments.figures import draw_side_by_side
 from smp_planner.experiments.lasa_scenes import LasaScene, Method, learn, settings
@@ -62,7 +62,10 @@ def modulate(
     """
     exact = settings()
     soft = exact.model_copy(update={"modulation": "likelihood"})
-    methods = {"exact": Method(Stein(), exact), "soft": Method(Stein(iterations=200), soft)}
+    methods = {
+        "exact": Method(adaptation("smp"), exact),
+        "soft": Method(adaptation("smp", iterations=200), soft),
+    }
     rows: list[Row] = []
     panels, drawn = {}, []
     for name, scene in scenes.items():

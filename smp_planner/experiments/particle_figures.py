@@ -32,8 +32,7 @@ from smp_planner.benchmark.episode_pictures import (
 )
 from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.metrics import rms_distances
-from smp_planner.planners.judging import REACHED
-from smp_planner.planning.problem import Plan
+from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.policy.tracking import Track
 
@@ -83,17 +82,12 @@ def _plan(policy: PlannerPolicy, env: gym.Env[Any, Any], scene: Scene) -> Plan:
     return policy.plan(observation)
 
 
-def _successful(plan: Plan) -> NDArray[np.bool_]:
-    """Return (P,) which particles the planner judges good and at the goal."""
-    return plan.good & (plan.goal_error < REACHED)
-
-
 def _ways(scene: Scene, plan: Plan) -> list[Way]:
     """Return a line for each particle: successful, or not."""
     paths = object_paths(plan.trajectories, carried_point(scene))
     return [
         Way(path, _FREE if done else _COLLIDING)
-        for path, done in zip(paths, _successful(plan), strict=True)
+        for path, done in zip(paths, plan.good, strict=True)
     ]
 
 
@@ -122,7 +116,7 @@ def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
         both = [figure.add_axes((left, bottom, width - 0.006, 0.42)) for bottom in (0.5, 0.035)]
         for row, (axes, plan) in enumerate(zip(both, plans, strict=True)):
             paint_scene(axes, scene, ways[row], within=ways[1 - row])
-            count, done = len(plan.good), int(_successful(plan).sum())
+            count, done = len(plan.good), int(plan.good.sum())
             axes.set_title(f"{done} of {count} succeed", fontsize=11, color=_DARK, y=-0.05)
         _share_limits(both)
         name = _TITLES[scene.task]
@@ -162,7 +156,7 @@ class TwoModes:
 def _over_and_beside(scene: Scene, plan: Plan) -> list[TwoModes]:
     """Return all pairs of best good particles of two modes, over and beside some obstacle."""
     best = plan.best_of_modes
-    best = best[_successful(plan)[best] & (plan.modes.shares >= _LEAST_SHARE)]
+    best = best[plan.good[best] & (plan.modes.shares >= _LEAST_SHARE)]
     if plan.signatures is None or len(best) == 0:
         return []
     levels = plan.signatures[best, 1:].reshape(len(best), -1, 2)[..., 1]
@@ -335,7 +329,7 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
     paint_scene(figure.add_axes((0.0, 0.47, 0.5, 0.46)), bare, taught, _FRONT_AZIMUTH)
     done, best = [], []
     for side, name in enumerate(("left", "right")):
-        candidates = np.flatnonzero(_successful(plan) & (sides == side))
+        candidates = np.flatnonzero(plan.good & (sides == side))
         if len(candidates) == 0:
             raise RuntimeError(f"no good particle goes to the {name} pad")
         best.append(int(candidates[plan.ranks[candidates].argmin()]))
@@ -360,7 +354,7 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
                 [],
                 color=_FREE,
                 lw=1.5,
-                label=f"particles that succeed ({int(_successful(plan).sum())})",
+                label=f"particles that succeed ({int(plan.good.sum())})",
             ),
             Line2D([], [], color=_MODES[0], lw=3.4, label="executed, left"),
             Line2D([], [], color=_MODES[1], lw=3.4, label="executed, right"),

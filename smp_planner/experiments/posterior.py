@@ -20,10 +20,10 @@ from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.experiments.paths import clearances, diversity, total_variation
 from smp_planner.experiments.tables import Column
 from smp_planner.inference.smc import SMCSettings, sample_posterior
-from smp_planner.planning.bodies import Ball, exact_map
 from smp_planner.library.shapes import bodies
 from smp_planner.library.smp import SMP, AdaptSettings
 from smp_planner.movement_primitives import phases
+from smp_planner.planning.bodies import Ball, exact_map
 from smp_planner.planning.modes import group
 
 __all__ = ["Reference", "columns", "exact_draws", "posterior_row", "within_spread"]
@@ -98,13 +98,13 @@ def exact_draws(
     if scene.goal is not None:
         prior = prior.condition(1.0, torch.from_numpy(frame.inwards(scene.goal)))
     placed = bodies(scene.obstacles, frame)
-    ball, width = Ball(placed, 0.0, exact_map(placed)), settings.edge_width[1]
+    cost, width = Ball(2).cost_on(exact_map(placed)), settings.edge_width[1]
     values = prior.basis.values(phases(settings.planning_steps))
 
     def log_likelihood(latent: FloatArray) -> FloatArray:
         weights = prior.unwhiten(torch.from_numpy(latent))
         paths = (values @ weights.unflatten(-1, (prior.basis.count, 2))).numpy()
-        return -settings.obstacle_weight * ball.collision(paths, width, settings.margin)[0]
+        return -settings.obstacle_weight * cost(paths, width, settings.margin)[0]
 
     latent = sample_posterior(log_likelihood, prior.rank, rng, smc).particles
     paths = prior.trajectory(prior.unwhiten(torch.from_numpy(latent)), settings.samples)

@@ -3,8 +3,8 @@
 The distance to a set of bodies is the minimum over the bodies: exact outside them, and inside where
 they do not overlap; where they do, the depth below the common surface is at least the one returned.
 
-The functions marked `njit` take the arrays of `PackedObstacles` and are meant to be called from
-other compiled kernels; they check nothing. `signed_distance` is the checked door.
+The kernels take the arrays of `PackedObstacles` and are meant to be called from other compiled
+kernels; they check nothing. `signed_distance` is the checked door.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.compiling import kernel
 from smp_gym.scene import SHAPES, Obstacle
 from smp_planner.occupancy.occupancy_map import TRUNCATION, window
 
@@ -94,7 +94,7 @@ def _rotations_to_body(quaternion: FloatArray) -> FloatArray:
     return np.ascontiguousarray(turns.swapaxes(1, 2))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def to_local(x, y, z, rotation, position):  # type: ignore[no-untyped-def]
     """Return a point (m, base frame) in the frame of one packed body."""
     dx, dy, dz = x - position[0], y - position[1], z - position[2]
@@ -105,7 +105,7 @@ def to_local(x, y, z, rotation, position):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _body_distance(a, b, c, shape, size):  # type: ignore[no-untyped-def]
     """Signed distance of one body to the point (a, b, c) of its own frame."""
     if shape == _BOX:
@@ -118,7 +118,7 @@ def _body_distance(a, b, c, shape, size):  # type: ignore[no-untyped-def]
     return math.sqrt(a * a + b * b + c * c) - size[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _local_distances(points, shape, sizes):  # type: ignore[no-untyped-def]
     result = np.empty(len(points))
     for i in range(len(points)):
@@ -140,7 +140,7 @@ def local_distance(points: FloatArray, shape: str, sizes: FloatArray) -> FloatAr
     return np.asarray(_local_distances(points, SHAPES.index(shape), sizes), np.float64)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(x, y, z, shape, rotation, position, size, bound):  # type: ignore[no-untyped-def]
     """Distance to the nearest body, and its index (-1 if there is none)."""
     best, index = np.inf, -1
@@ -156,7 +156,7 @@ def _nearest(x, y, z, shape, rotation, position, size, bound):  # type: ignore[n
     return best, index
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def point_distance(x, y, z, shape, rotation, position, size, bound):  # type: ignore[no-untyped-def]
     """Return the signed distance of one point (m) to packed obstacles; infinity if there is none.
 
@@ -165,7 +165,7 @@ def point_distance(x, y, z, shape, rotation, position, size, bound):  # type: ig
     return _nearest(x, y, z, shape, rotation, position, size, bound)[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _body_gradient(a, b, c, shape, size):  # type: ignore[no-untyped-def]
     """Gradient of `_body_distance`, a unit vector in the body's frame.
 
@@ -203,7 +203,7 @@ def _body_gradient(a, b, c, shape, size):  # type: ignore[no-untyped-def]
     return 1.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def point_distance_and_gradient(  # type: ignore[no-untyped-def]
     x, y, z, shape, rotation, position, size, bound
 ):
@@ -226,7 +226,7 @@ def point_distance_and_gradient(  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distances(points, shape, rotation, position, size, bound):  # type: ignore[no-untyped-def]
     result = np.empty(len(points))
     for i in range(len(points)):
@@ -235,7 +235,7 @@ def _distances(points, shape, rotation, position, size, bound):  # type: ignore[
     return result
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distances_and_gradients(  # type: ignore[no-untyped-def]
     points, shape, rotation, position, size, bound
 ):
@@ -308,7 +308,7 @@ def signed_distance_and_gradient(
     return distance.reshape(array.shape[:-1]), gradient.reshape(array.shape)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(values, origin, spacing, truncation, half_extents, shape, rotation, position, size):  # type: ignore[no-untyped-def]
     for n in range(len(shape)):
         reach = half_extents[n] + truncation

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.scene import Obstacle
 from smp_planner.occupancy.analytic import AnalyticMap, check_points
 from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
@@ -28,7 +28,7 @@ SPACING = 0.015
 """Default distance of neighbouring nodes, m."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _cell(x, origin, inv_spacing, count):  # type: ignore[no-untyped-def]
     """Return (cell, fraction, slope) of one coordinate; slope is 0 where it had to be clamped."""
     u = (x - origin) * inv_spacing
@@ -43,7 +43,7 @@ def _cell(x, origin, inv_spacing, count):  # type: ignore[no-untyped-def]
     return i, u - i, slope
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lookup(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """Return (distance, gx, gy, gz) of one point: m, and the exact gradient of the interpolant.
 
@@ -74,7 +74,7 @@ def lookup(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def
     return v0 + a * gx, sx * gx, sy * gy, sz * gz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lookup_all(values, origin, inv_spacing, points):  # type: ignore[no-untyped-def]
     distance, gradient = np.empty(len(points)), np.empty((len(points), 3))
     for i in range(len(points)):

@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
+
+from smp_gym.compiling import kernel
 
 __all__ = ["TRUNCATION", "OccupancyMap", "occupancy"]
 
@@ -71,7 +72,7 @@ def occupancy(
     return np.asarray(expit((np.asarray(radius) - np.asarray(distance)) / edge_width))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def window(count, origin, spacing, center, reach):  # type: ignore[no-untyped-def]
     """Return (first, end) of the nodes of one grid axis within `reach` of `center`."""
     first = int(np.ceil((center - reach - origin) / spacing))

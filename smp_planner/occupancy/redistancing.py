@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from smp_gym.compiling import kernel
 
 __all__ = ["redistance"]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _crossing(level, i, j, k, axis, spacing):  # type: ignore[no-untyped-def]
     """Distance along one axis to the nearest change of sign next to a node, or infinity."""
     here, best = level[i, j, k], np.inf
@@ -32,7 +33,7 @@ def _crossing(level, i, j, k, axis, spacing):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _start(level, spacing, distance, fixed):  # type: ignore[no-untyped-def]
     """Set the nodes next to the surface to their distance to the plane through its crossings."""
     for i in range(level.shape[0]):
@@ -48,7 +49,7 @@ def _start(level, spacing, distance, fixed):  # type: ignore[no-untyped-def]
                     fixed[i, j, k] = True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve(a, b, c, h):  # type: ignore[no-untyped-def]
     """Smallest x with sum of max(x - neighbour, 0)^2 = h^2 over the neighbours a, b, c."""
     if a > b:
@@ -67,7 +68,7 @@ def _solve(a, b, c, h):  # type: ignore[no-untyped-def]
     return x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sweep(distance, fixed, spacing, limit):  # type: ignore[no-untyped-def]
     nx, ny, nz = distance.shape
     for order in range(8):

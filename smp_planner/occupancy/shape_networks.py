@@ -21,9 +21,9 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.compiling import kernel
 from smp_gym.scene import SHAPES, Obstacle
 from smp_planner.occupancy.analytic import PackedObstacles, check_points, to_local
 from smp_planner.occupancy.archive import read_archive, write_archive
@@ -128,7 +128,7 @@ def default_networks() -> ShapeNetworks:
     return ShapeNetworks._parse(file.read_bytes(), str(file))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _offsets(a, b, c, shape, size, truncation):  # type: ignore[no-untyped-def]
     """Return the offsets of a local point from the body's faces: folded, cut off and sorted, m."""
     if shape == _BOX:
@@ -147,7 +147,7 @@ def _offsets(a, b, c, shape, size, truncation):  # type: ignore[no-untyped-def]
     return u, v, w
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _all_offsets(points, shape, sizes, truncation):  # type: ignore[no-untyped-def]
     result = np.empty((len(points), 3))
     for i in range(len(points)):
@@ -175,7 +175,7 @@ def face_offsets(
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _tanh(x):  # type: ignore[no-untyped-def]
     # The fraction is good to 5e-5 up to 4.5; applied to x / 2 and doubled by the addition theorem
     # this becomes 1e-7, and unlike the library's tanh it runs on whole vectors.
@@ -186,7 +186,7 @@ def _tanh(x):  # type: ignore[no-untyped-def]
     return _TWO * n * d / (n * n + d * d)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _forward(inputs, count, w1, b1, w2, b2, w3, b3):  # type: ignore[no-untyped-def]
     """Return the (count,) float32 outputs of one network for inputs (3, >= count) float32."""
     hidden = len(b1)
@@ -215,7 +215,7 @@ def _forward(inputs, count, w1, b1, w2, b2, w3, b3):  # type: ignore[no-untyped-
     return result
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lower(values, points, truncation, bodies, networks):  # type: ignore[no-untyped-def]
     """Lower values (N,) to the composed map's distance at points (N, 3)."""
     shape, rotation, position, size = bodies
@@ -240,7 +240,7 @@ def _lower(values, points, truncation, bodies, networks):  # type: ignore[no-unt
                 values[where[i]] = distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(values, origin, spacing, truncation, half_extents, bodies, networks):  # type: ignore[no-untyped-def]
     """Lower the nodes of a grid to the composed map's distance."""
     shape, rotation, position, size = bodies

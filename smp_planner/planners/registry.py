@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_planner.planners import PLANNERS, TASK_SETTINGS, make_planner
+from smp_planner.planners import PLANNERS, make_planner
 from smp_planner.planning.problem import Planner
 
 __all__ = ["GROUP", "Method", "installed_methods", "known_methods", "resolve"]
@@ -82,8 +82,7 @@ class Method:
         """
         if self.spec not in PLANNERS:
             return dict(given)
-        chosen = {**TASK_SETTINGS.get((self.spec, task), {}), **given}
-        return PLANNERS[self.spec].Settings.model_validate(chosen).model_dump(mode="json")
+        return make_planner(self.spec, task, settings=given).settings
 
 
 def known_methods() -> tuple[str, ...]:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space
 from smp_planner.planners.registry import Method, resolve
-from smp_planner.planning.problem import Plan, Planner, Problem
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.problem import Planner, Problem
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.policy_file import SavedPolicy, read_policy, write_policy

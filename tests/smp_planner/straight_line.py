@@ -8,7 +8,8 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.collision.verification import verify
-from smp_planner.planning.problem import Plan, Problem
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.problem import Problem
 
 
 class StraightLine:

@@ -15,7 +15,7 @@ from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
 from smp_planner.benchmark.camera import Camera, Painter, body_faces
 from smp_planner.benchmark.episode_pictures import FRAME_RATE, scene_figure, write_video
 from smp_planner.benchmark.episodes import EpisodeRow, PlayedEpisode
-from smp_planner.planning.problem import Plan
+from smp_planner.planning.plan import Plan
 
 ALONG_X = Camera((0.0, 0.0, 0.0), azimuth=0.0, elevation=0.0, distance=2.0)
 TILTED = (0.1, 0.2, 0.3, np.sqrt(1 - 0.14))

@@ -22,7 +22,9 @@ from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planners import make_planner
 from smp_planner.planners.judging import free_waypoints, goal_distances, rank, signatures
 from smp_planner.planning.modes import group
-from smp_planner.planning.problem import GoalRegion, Plan, Problem
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.problem import Problem
+from smp_planner.planning.tool_goals import GoalRegion
 from smp_planner.policy.observed_problem import problem_from
 
 POSTURE = np.array([0.0, 3.6, 1.6, 1.5, 1.5, 1.0])

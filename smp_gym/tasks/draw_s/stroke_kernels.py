@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from smp_gym.compiling import kernel
 
 __all__ = ["equal_arc", "passed_in_order"]
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@kernel
 def equal_arc(line: Array, count: int) -> Array:
     """Return `count` points at equal steps of the arc of a line.
 
@@ -52,7 +53,7 @@ def equal_arc(line: Array, count: int) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def passed_in_order(
     traces: Array, checkpoints: Array, demanded: Array, tolerance: float, subdivision: int
 ) -> NDArray[np.int64]:

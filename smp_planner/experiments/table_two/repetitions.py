@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.rollout import Rollout, rollout
 from smp_gym.scene import TASKS
@@ -26,15 +25,15 @@ from smp_planner.benchmark.metrics import (
     path_lengths,
     success_rates,
 )
-from smp_planner.collision.robot_model import RobotModel, jaco_model
-from smp_planner.experiments.table_two.scenes import PRIOR, load_scenes
+from smp_planner.experiments.table_two.scenes import load_scenes, prior_settings, shared_prior
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.planners import TASK_SETTINGS, PlannerModel, make_planner
-from smp_planner.planners.judging import REACHED, free_waypoints
-from smp_planner.planners.tying import tie_primitive
+from smp_planner.planning.assessment import free_waypoints
 from smp_planner.planning.modes import group
-from smp_planner.planning.problem import Plan, Problem
+from smp_planner.planning.pipeline import condition
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.problem import Problem
+from smp_planner.planning.settings import PlanSettings
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [
@@ -160,7 +159,7 @@ def parse_row(content: dict[str, Any]) -> RepetitionRow:
 
 def methods_of(task: str, methods: Sequence[str] = METHODS) -> list[str]:
     """Return those of `methods` that a task has rows of."""
-    several = len(_prior(task).mixture.components) > 1
+    several = len(shared_prior(task).mixture.components) > 1
     return [name for name in methods if several or not name.endswith(_MATCHED)]
 
 
@@ -200,11 +199,10 @@ def _without_plan(key: RepetitionKey) -> RepetitionRow:
 def _measured(
     key: RepetitionKey, problem: Problem, plan: Plan, played: Sequence[Rollout]
 ) -> RepetitionRow:
-    robot = jaco_model(problem.attached)
-    paths = robot.carried_points(plan.trajectories, problem.goals[0].point)[0]
+    paths = problem.robot.carried_points(plan.trajectories, problem.goals[0].point)[0]
     success = np.array([one.success for one in played])
-    reached = plan.goal_error < REACHED
-    free = free_waypoints(problem, robot, plan.trajectories)
+    reached = plan.goal_error <= PlanSettings().sigma
+    free = free_waypoints(problem, plan.trajectories)
     count = int(success.sum())
     reference = _reference(key.task)
     successful = floor = None
@@ -212,7 +210,6 @@ def _measured(
     if count:
         successful = compare(paths[success], reference)
         floor = _fresh(key.task, count, key.repetition)
-        assert plan.signatures is not None
         modes = group(plan.signatures[success])
     return RepetitionRow(
         key.repetition,
@@ -221,7 +218,7 @@ def _measured(
         success=tuple(success.tolist()),
         causes=tuple(_cause(one.info) for one in played),
         steps=tuple(one.steps for one in played),
-        planned=tuple((plan.good & reached).tolist()),
+        planned=tuple(plan.good.tolist()),
         lengths=tuple(path_lengths(paths).tolist()),
         free_waypoints=success_rates(free, reached).waypoints,
         all=compare(paths, reference),
@@ -247,12 +244,11 @@ def _environment(task: str) -> gym.Env[Any, Any]:
 def _policy(task: str, method: str) -> PlannerPolicy:
     """Return a policy after one unrecorded plan, so that no row times a compilation."""
     name = method.removesuffix(_MATCHED)
-    settings: dict[str, Any] = {"particles": PARTICLES, **PRIOR}
+    settings: dict[str, Any] = {"particles": PARTICLES}
+    if name != "rrt_connect":
+        settings |= prior_settings(task).model_dump()
     if method.endswith(_MATCHED):
         settings["per_component"] = False
-    if name == "promp":
-        # The control is to be the prior of the others.
-        settings["smooth_std"] = _prior(task).settings.smooth_std
     policy = PlannerPolicy.make(name, task, settings=settings)
     observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
     with suppress(UnreachableError):
@@ -260,45 +256,31 @@ def _policy(task: str, method: str) -> PlannerPolicy:
     return policy
 
 
-@lru_cache(maxsize=len(TASKS))
-def _prior(task: str) -> PlannerModel:
-    """Return a planner whose mixture is what all methods of a task start from."""
-    settings = TASK_SETTINGS.get(("smp", task), {})
-    return make_planner(
-        "promp",
-        task,
-        settings=PRIOR | {name: settings[name] for name in ("smooth_std",) if name in settings},
-    )
-
-
 class _Conditioned(NamedTuple):
-    """The unadapted primitive of a task's scene: components, their shares, and what is carried."""
+    """The unadapted primitive of a task's scene: components, their shares, and the problem."""
 
     components: tuple[ProMP, ...]
     shares: tuple[float, ...]
-    robot: RobotModel
-    point: FloatArray
+    problem: Problem
 
 
 @lru_cache(maxsize=len(TASKS))
 def _conditioned(task: str) -> _Conditioned:
-    prior = _prior(task)
+    prior = shared_prior(task)
     observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
-    problem = PlannerPolicy(prior, Demonstrations.load(task)).problem(observation)
-    robot = jaco_model(problem.attached)
+    problem = _policy(task, "promp").problem(observation)
     return _Conditioned(
         tuple(
-            tie_primitive(component, problem, robot, problem.via_points).primitive
-            for component in prior.mixture.components
+            condition(component, problem.constraints, PlanSettings())[0][0]
+            for component in prior.components()
         ),
-        tuple(prior.mixture.shares.tolist()),
-        robot,
-        problem.goals[0].point,
+        tuple(prior.used.shares.tolist()),
+        problem,
     )
 
 
 def _draws(task: str, count: int, number: int, samples: int) -> FloatArray:
-    """Return (count, samples, 3) m, ways of the carried point under the unadapted primitive.
+    """Return (count, samples, 3) m, paths of the carried point under the unadapted primitive.
 
     Args:
         task: name of the task.
@@ -308,16 +290,17 @@ def _draws(task: str, count: int, number: int, samples: int) -> FloatArray:
     """
     conditioned = _conditioned(task)
     rng = np.random.default_rng([number, TASKS.index(task)])
-    ways = []
+    paths = []
     counts = shared_out(count, conditioned.shares)
     for component, share in zip(conditioned.components, counts, strict=True):
         if share:
             latent = torch.from_numpy(rng.standard_normal((share, component.rank)))
             trajectories = component.trajectory(component.unwhiten(latent), samples)
-            ways.append(
-                conditioned.robot.carried_points(trajectories.numpy(), conditioned.point)[0]
+            problem = conditioned.problem
+            paths.append(
+                problem.robot.carried_points(trajectories.numpy(), problem.goals[0].point)[0]
             )
-    return np.concatenate(ways)
+    return np.concatenate(paths)
 
 
 @lru_cache(maxsize=len(TASKS))

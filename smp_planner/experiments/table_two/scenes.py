@@ -14,24 +14,48 @@ import torch
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.assets import asset_path
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS, Scene
 from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.results_folder import write_json
-from smp_planner.collision.robot_model import jaco_model
-from smp_planner.movement_primitives import ProMPMixture
-from smp_planner.planners import make_planner
-from smp_planner.planners.judging import REACHED, free_waypoints
-from smp_planner.planners.tying import tie_primitive
+from smp_planner.planners import task_settings
+from smp_planner.planning.assessment import free_waypoints
+from smp_planner.planning.pipeline import condition
+from smp_planner.planning.prior import Prior, learn_prior
+from smp_planner.planning.settings import PlanSettings, PriorSettings
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["PRIOR", "RULE", "SCENES_FILE", "choose_scene", "load_scenes", "write_scenes"]
+__all__ = [
+    "PRIOR",
+    "RULE",
+    "SCENES_FILE",
+    "choose_scene",
+    "load_scenes",
+    "shared_prior",
+    "write_scenes",
+]
 
 SCENES_FILE = "table_two_scenes.json"
 """Where the scenes are in the folder ``experiments`` of the packaged data."""
 
 PRIOR: dict[str, Any] = {"basis_functions": 15, "smooth_length_scale": 0.2}
 """Settings of the primitive that all methods share, on every task; 15 is the paper's K."""
+
+
+def prior_settings(task: str) -> PriorSettings:
+    """Return how the prior is learned that all methods share on a task."""
+    own = task_settings("smp", task)
+    return PriorSettings.model_validate(
+        PRIOR | {name: own[name] for name in ("smooth_std",) if name in own}
+    )
+
+
+def shared_prior(task: str) -> Prior:
+    """Return the prior that all methods share on a task."""
+    demonstrations = Demonstrations.load(task)
+    return learn_prior(list(np.array(demonstrations.configurations)), prior_settings(task))
+
 
 DIFFICULTY = "medium"
 MOST_SEEDS = 200
@@ -48,15 +72,14 @@ compared over those; the rule asks the same of all methods."""
 _FORMAT_VERSION = 1
 
 
-def _mean_collides(prior: ProMPMixture, policy: PlannerPolicy, observation: Any) -> bool:
-    """Return whether the mean of each component, conditioned on start and goal, collides."""
+def _mean_collides(prior: Prior, policy: PlannerPolicy, observation: Any) -> bool:
+    """Return whether the mean of each component, conditioned on the constraints, collides."""
     problem = policy.problem(observation)
-    robot = jaco_model(problem.attached)
     means = []
-    for component in prior.components:
-        tied = tie_primitive(component, problem, robot, problem.via_points).primitive
+    for component in prior.components():
+        (tied, _), *_ = condition(component, problem.constraints, PlanSettings())
         means.append(tied.trajectory(tied.mean, 200).numpy())
-    return not free_waypoints(problem, robot, np.array(means)).all(axis=1).any()
+    return not free_waypoints(problem, np.array(means)).all(axis=1).any()
 
 
 def choose_scene(task: str, methods: Sequence[str]) -> Scene:
@@ -71,7 +94,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
     """
     torch.set_num_threads(1)
     env = gym.make(environment_id(task), difficulty=DIFFICULTY)
-    prior = make_planner(methods[0], task, settings=PRIOR).mixture
+    prior = shared_prior(task)
     policies = [PlannerPolicy.make(method, task, settings=PRIOR) for method in methods]
     try:
         for seed in range(MOST_SEEDS):
@@ -88,7 +111,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
 def _share(policy: PlannerPolicy, observation: Any) -> float:
     """Return the share of particles that the planner judges a success."""
     plan = policy.plan(observation)
-    return float((plan.good & (plan.goal_error < REACHED)).mean())
+    return float(plan.good.mean())
 
 
 def write_scenes(scenes: Sequence[Scene], path: Path) -> None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
+from smp_gym.compiling import kernel
 from smp_planner.collision.edge_check import EdgeChecker, edge_is_free, new_scratch
 
 __all__ = ["minimum_jerk", "path_length", "shortcut", "smooth", "stop_at_corners"]
@@ -23,7 +23,7 @@ def path_length(path: ArrayLike) -> float:
     return float(np.linalg.norm(np.diff(np.asarray(path, np.float64), axis=0), axis=1).sum())
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance(a, b):
     total = 0.0
     for j in range(a.shape[0]):
@@ -31,7 +31,7 @@ def _distance(a, b):
     return math.sqrt(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _without_needless_corners(world, scratch, path, count):
     """Leave out corners whose neighbours a free edge joins; return how many are left."""
     v = 1
@@ -45,7 +45,7 @@ def _without_needless_corners(world, scratch, path, count):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shortcut(world, path, count, draws):
     """Shorten `path` (V,n), of which the first `count` rows are used; return how many are left."""
     scratch = new_scratch(world)

@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.compiling import kernel
 from smp_planner.collision.edge_check import EdgeChecker, edge_is_free, new_scratch
 
 __all__ = ["rrt_connect"]
@@ -17,7 +17,7 @@ __all__ = ["rrt_connect"]
 FloatArray = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(nodes, count, target):
     """Return the index of the nearest of the first `count` nodes (N,n) to a configuration."""
     best, index = np.inf, -1
@@ -30,7 +30,7 @@ def _nearest(nodes, count, target):
     return index
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _extend(world, scratch, nodes, parents, count, source, target, step):
     """Write the node that is one step from `source` towards a target.
 
@@ -51,7 +51,7 @@ def _extend(world, scratch, nodes, parents, count, source, target, step):
     return 2 if last else 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search(world, samples, step, nodes, parents, counts):
     """Grow both trees until they meet; return the nodes where they do, or (-1, -1).
 

@@ -1,0 +1,184 @@
+"""Compiled kernels: an edit anywhere takes effect, and a broken cache costs time only."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+CALLEE = """
+from smp_gym.compiling import kernel
+from toy.constants import OFFSET
+
+@kernel
+def inner(x):
+    return {factor} * x + OFFSET
+"""
+CALLER = """
+from smp_gym.compiling import kernel
+from toy.callee import inner
+
+@kernel
+def outer(x):
+    return inner(x)
+"""
+RUN = """
+import logging
+logging.basicConfig(format="LOGGED %(message)s")
+from toy.caller import outer
+print(outer(1.0), outer(1), "hits", sum(outer.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    (tmp_path / "toy").mkdir()
+    (tmp_path / "toy/__init__.py").touch()
+    _write(tmp_path, "constants", "OFFSET = 10.0")
+    _write(tmp_path, "callee", CALLEE.format(factor=2.0))
+    _write(tmp_path, "caller", CALLER)
+    return tmp_path
+
+
+def _write(folder, name, text):
+    (folder / f"toy/{name}.py").write_text(text)
+
+
+def _start(folder, **variables):
+    # Without bytecode, so that edits within one tick of the clock count for Python itself too.
+    environment = os.environ | {
+        "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "XDG_CACHE_HOME": str(folder / "user"),
+        **variables,
+    }
+    environment.pop("NUMBA_CACHE_DIR", None)
+    environment.update(variables)
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _ended(process):
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    values, _, hits = output.partition("hits")
+    return [float(value) for value in values.split()], int(hits), errors
+
+
+def _run(folder, **variables):
+    return _ended(_start(folder, **variables))
+
+
+def _entries(folder, pattern="toy.*.nbc"):
+    return sorted((folder / "toy/__pycache__").glob(f"kernels-*/{pattern}"))
+
+
+def test_kept_for_the_next_process(package):
+    assert _run(package) == ([12.0, 12.0], 0, "")
+    assert _run(package) == ([12.0, 12.0], 2, "")
+
+
+def test_an_edited_callee_in_another_file_counts(package):
+    _run(package)
+    _write(package, "callee", CALLEE.format(factor=3.0))
+    assert _run(package) == ([13.0, 13.0], 0, "")
+
+
+def test_an_edited_constant_of_a_file_without_kernels_counts(package):
+    _run(package)
+    _write(package, "constants", "OFFSET = 20.0")
+    assert _run(package) == ([22.0, 22.0], 0, "")
+
+
+def test_any_edited_kernel_file_counts(package):
+    _run(package)
+    _write(package, "other", "from smp_gym.compiling import kernel\n@kernel\ndef f():\n    pass")
+    assert _run(package)[1] == 0
+
+
+def test_entries_of_few_digests_are_kept(package):
+    home = package / "toy/__pycache__"
+    for age in range(1, 6):
+        (home / f"kernels-{age}").mkdir(parents=True)
+        (home / f"kernels-{age}/toy.nbc").touch()
+        os.utime(home / f"kernels-{age}", (0, 1000 - age))
+    assert _run(package)[1] == 0
+    assert {path.name for path in home.glob("kernels-?")} == {"kernels-1", "kernels-2"}
+    assert _run(package)[1] == 2
+
+
+def test_torn_entries_are_compiled_again_with_one_warning(package):
+    _run(package)
+    for path, left in zip(_entries(package, "toy.caller.outer-*.nbc"), (0, -1), strict=True):
+        path.write_bytes(path.read_bytes()[:left])
+    values, hits, errors = _run(package)
+    assert values == [12.0, 12.0]
+    assert hits == 0
+    assert errors.count("LOGGED") == 1
+    assert "cannot be read" in errors
+    assert _run(package) == ([12.0, 12.0], 2, "")
+
+
+def test_an_entry_of_another_kernel_does_not_pass(package):
+    _run(package)
+    first, second = _entries(package, "toy.caller.outer-*.nbc")
+    first.write_bytes(second.read_bytes())
+    values, hits, _ = _run(package)
+    assert values == [12.0, 12.0]
+    assert hits == 1
+
+
+def test_falls_back_to_the_users_cache(package):
+    # A file in the place of the folder keeps even the superuser from writing.
+    (package / "toy/__pycache__").touch()
+    assert _run(package) == ([12.0, 12.0], 0, "")
+    assert list((package / "user").rglob("toy.caller.outer-*.nbc"))
+    assert _run(package)[1] == 2
+
+
+def test_without_any_writable_folder_it_compiles_with_one_warning(package):
+    (package / "toy/__pycache__").touch()
+    (package / "user").touch()
+    values, hits, errors = _run(package)
+    assert values == [12.0, 12.0]
+    assert hits == 0
+    assert errors.count("LOGGED") == 1
+    assert "none of" in errors
+
+
+def test_an_entry_that_cannot_be_written_is_no_error(package):
+    _run(package)
+    for path in _entries(package):
+        path.unlink()
+        path.mkdir()
+    values, _, errors = _run(package)
+    assert values == [12.0, 12.0]
+    assert errors.count("LOGGED") == 1
+    assert "cannot be kept" in errors
+    assert not list((package / "toy/__pycache__").rglob("tmp*"))
+
+
+def test_the_folder_that_the_user_names(package):
+    assert _run(package, NUMBA_CACHE_DIR=str(package / "named"))[1] == 0
+    assert list((package / "named").rglob("toy.caller.outer-*.nbc"))
+    assert not _entries(package)
+
+
+def test_processes_at_once(package):
+    for process in [_start(package) for _ in range(3)]:
+        assert _ended(process)[0] == [12.0, 12.0]
+    assert _run(package) == ([12.0, 12.0], 2, "")
+
+
+def test_kernels_use_no_other_cache():
+    for path in [*(ROOT / "smp_gym").rglob("*.py"), *(ROOT / "smp_planner").rglob("*.py")]:
+        if path.name != "compiling.py":
+            assert "njit" not in path.read_text(), path
