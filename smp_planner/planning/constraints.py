@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from smp_planner.collision.costs import Cost, ValueAndGradient
+from smp_planner.collision.costs import Cost, ValueAndGradient, check_trajectories
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.box_prior import SmoothBox, box_offset
@@ -267,7 +267,7 @@ class Passing:
         shares = [place.share for place in self.places]
 
         def cost(trajectories: ArrayLike) -> ValueAndGradient:
-            paths = np.asarray(trajectories, np.float64)
+            paths = check_trajectories(trajectories, lower.shape[1])
             points = at_phases(paths, self.phase)[:, 0]
             offsets = box_offset(points, lower[:, None], upper[:, None])
             value, slopes = mixture_cost(offsets, variance, upper - lower, shares)
@@ -336,7 +336,7 @@ class Reaching:
         variance = np.full(lower.shape, settings.sigma**2)
 
         def cost(trajectories: ArrayLike) -> ValueAndGradient:
-            paths = np.asarray(trajectories, np.float64)
+            paths = check_trajectories(trajectories, self.robot.joints)
             ends = np.ascontiguousarray(paths[:, -1])
             carried = [self.robot.carried_points(ends, goal.point) for goal in self.goals]
             points = np.stack([point for point, _ in carried])
@@ -416,7 +416,7 @@ class ToolPath:
         lower, upper = places - half, places + half
 
         def cost(trajectories: ArrayLike) -> ValueAndGradient:
-            paths = np.asarray(trajectories, np.float64)
+            paths = check_trajectories(trajectories, self.robot.joints)
             due = at_phases(paths, self.phases)
             points, jacobians = self._carried(due)
             offset = box_offset(points, lower, upper) / settings.sigma

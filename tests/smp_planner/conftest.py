@@ -8,8 +8,9 @@ from smp_gym.robot.kinematics import SphereSet, box_spheres, concatenate, finger
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, fixtures
 from smp_planner.collision.edge_check import EdgeChecker
-from smp_planner.collision.robot_model import RobotModel, jaco_model
-from smp_planner.planning.problem import GoalRegion, Problem
+from smp_planner.collision.robot_model import RobotModel
+from smp_planner.planning.problem import arm_problem
+from smp_planner.planning.tool_goals import GoalRegion
 
 
 @pytest.fixture(scope="session")
@@ -83,7 +84,7 @@ def placement(held, region):
         x, y, z = scene.goals[0].position
         above = (region((x, y, z + BIN_HEIGHT + 0.055)),)
         obstacles = (*scene.obstacles, *extra, *fixtures(scene))
-        return Problem(np.array(scene.start), obstacles, spheres, goals or above, seed)
+        return arm_problem(np.array(scene.start), obstacles, spheres, goals or above, seed)
 
     return make
 
@@ -98,4 +99,4 @@ def crowded():
 def checker(placement, crowded):
     """The free space of that scene."""
     problem = placement(crowded)
-    return EdgeChecker(jaco_model(problem.attached), problem.obstacles, 0.005)
+    return EdgeChecker(problem.robot, problem.obstacles, 0.005)

@@ -6,10 +6,10 @@ import numpy as np
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
-from smp_planner.collision.robot_model import jaco_model
-from smp_planner.collision.verification import verify
+from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.settings import PlanSettings
 
 
 class StraightLine:
@@ -26,15 +26,5 @@ class StraightLine:
         goal, rotation = problem.goals[0], end_effector_pose(self.end)[:3, :3]
         end = inverse_kinematics(goal.center - rotation @ goal.point, rotation, seed=self.end)
         line = np.linspace(problem.start, end, self.samples)[None]
-        verdict = verify(line, jaco_model(problem.attached), problem.obstacles, 15.0)
-        return Plan(
-            weights=np.empty((1, 0, 6)),
-            trajectories=line,
-            costs={},
-            collision_free=verdict.collision_free,
-            clearance=verdict.clearance,
-            goal_error=np.zeros(1),
-            duration=verdict.duration,
-            executable=verdict.executable,
-            chosen=0,
-        )
+        length = np.linalg.norm(end - problem.start, keepdims=True)
+        return make_plan(problem, line, {"length": length}, PlanSettings())

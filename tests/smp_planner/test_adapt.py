@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from smp_gym.scene import Obstacle
-from smp_planner.adaptation import GaussianVI, Stein
+from smp_planner.adaptation import ADAPTATIONS, adaptation
 from smp_planner.library.smp import (
-    METHODS,
     SMP,
     AdaptSettings,
     AnyOf,
@@ -20,7 +19,7 @@ from smp_planner.library.smp import (
 PHASE = np.linspace(0.0, 1.0, 60)
 OBSTACLES = [Circle((60.0, 60.0), 12.0), Rectangle((150.0, -60.0), (14.0, 9.0), 0.5)]
 ENDS = {"start": (0.0, 0.0), "goal": (200.0, 0.0)}
-SHORT = Stein(iterations=30)
+SHORT = adaptation("smp", iterations=30)
 UNSEEN = AdaptSettings(retries=0)
 
 
@@ -79,7 +78,7 @@ def test_paths_are_free_where_the_prior_s_are_not(primitive, plan):
 
 
 def test_clearance_is_that_of_the_plane(primitive, plan):
-    prior = primitive.adapt(OBSTACLES, **ENDS, method=None)
+    prior = primitive.adapt(OBSTACLES, **ENDS, method="promp")
     for found in (plan, prior):
         expected = distance_to_obstacles(densely(found.trajectories)).min(axis=1)
         tolerance = 2e-4 * primitive.extent
@@ -97,7 +96,7 @@ def test_a_disc_keeps_its_radius_clear(primitive):
 
 def test_several_ways_round_are_found(plan):
     assert plan.modes.count >= 2
-    assert plan.signatures.shape == (42, 2)
+    assert plan.signatures.shape == (42, 3)
 
 
 def test_the_chosen_path_is_good(plan):
@@ -134,7 +133,7 @@ def test_tolerances_and_boxes_are_kept(primitive):
 
 def test_likelihood_alone_pulls_as_hard_as_its_sigma_says(primitive):
     settings = AdaptSettings(modulation="likelihood", sigma=0.02, retries=0)
-    plan = primitive.adapt(goal=(200.0, 30.0), settings=settings, method=GaussianVI())
+    plan = primitive.adapt(goal=(200.0, 30.0), settings=settings, method=adaptation("cpromp"))
     # Gaussian prior and likelihood: the posterior of the end is known.
     mean, covariance = (t.numpy() for t in primitive.single.marginal(1.0))
     wanted = primitive.frame.inwards((200.0, 30.0))
@@ -227,7 +226,7 @@ def test_another_unit_gives_the_same_plan(waves, plan, scale):
     np.testing.assert_allclose(other.clearance / scale, plan.clearance, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ADAPTATIONS)
 @pytest.mark.parametrize("per_component", [True, False])
 def test_every_method_meets_points(primitive, method, per_component):
     plan = primitive.adapt(
@@ -247,7 +246,7 @@ def test_paths_in_space_and_of_more_dimensions():
     distance = np.linalg.norm(densely(plan.trajectories) - ball.position, axis=-1).min(axis=1) - 0.1
     assert plan.collision_free.sum() > 35
     np.testing.assert_allclose(plan.clearance, distance, atol=3e-4)
-    assert plan.signatures.shape == (42, 1, 2)
+    assert plan.signatures.shape == (42, 3)
     many = SMP.fit([np.hstack([d, d]) for d in spread])
     assert many.adapt(goal=np.ones(6), particles=3).trajectories.shape == (3, 200, 6)
     with pytest.raises(ValueError, match="D = 6"):
@@ -274,14 +273,16 @@ def test_missing_samples_are_taken_where_they_are_allowed(waves):
 
 
 def test_a_learned_map_leads_round_the_obstacles(primitive):
-    settings = AdaptSettings(map="neural", map_points=5000, map_steps=400)
+    settings = AdaptSettings(map="points", map_points=5000, map_steps=400)
     plan = primitive.adapt(OBSTACLES[:1], **ENDS, settings=settings, particles=10)
     assert plan.collision_free.sum() >= 9
     assert plan.timings["map"] > 0.0
 
 
 def test_inference_stops_early_where_particles_are_good_and_only_there(primitive):
-    runs = [Stein(iterations=200, early_stop=early_stop) for early_stop in (False, True)]
+    runs = [
+        adaptation("smp", iterations=200, early_stop=early_stop) for early_stop in (False, True)
+    ]
     easy, hopeless = [Circle((60.0, 60.0), 4.0)], [Rectangle((100.0, 0.0), (5.0, 5000.0))]
     whole, short = (primitive.adapt(easy, **ENDS, method=run, particles=10) for run in runs)
     assert whole.good.all()

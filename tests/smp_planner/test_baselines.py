@@ -1,5 +1,7 @@
 """The paper's baselines: what each must do whatever the scene, and what it is worth in one."""
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -8,9 +10,10 @@ import torch
 from smp_gym.observation import decode
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
-from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planners import make_planner
-from smp_planner.planning.problem import Problem
+from smp_planner.planning.constraints import Reaching
+from smp_planner.planning.pipeline import condition
+from smp_planner.planning.settings import PlanSettings
 from smp_planner.policy.observed_problem import problem_from
 
 BASELINES = ("cpromp", "prompt_o", "promp_diff")
@@ -61,10 +64,23 @@ def test_good_particles_are_found_where_plain_draws_have_none(name, plans):
     assert freed > unadapted + 0.02
 
 
+def among(problem, obstacles, goals):
+    """Return the problem with other obstacles and goals."""
+    (stage,) = problem.stages
+    reaching = Reaching(goals, problem.robot)
+    return replace(
+        problem,
+        stages=(replace(stage, obstacles=obstacles),),
+        constraints=(*problem.constraints[:-1], reaching),
+        seed=5,
+    )
+
+
 def latents(name, plan, problem):
     """Return the standard normals (P, r) that a plan's weights are under the control's prior."""
     control = make_planner("promp", "Placement")
-    primitive = control.tie(problem, jaco_model(problem.attached)).primitive
+    (prior,) = control.prior.components()
+    primitive = condition(prior, problem.constraints, PlanSettings())[0][0]
     return primitive.whiten(torch.from_numpy(plan.weights.reshape(len(plan.weights), -1))).numpy()
 
 
@@ -88,7 +104,7 @@ def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, regi
     problem = problems[0]
     far = Obstacle(shape="sphere", position=(3.0, 3.0, 3.0), size=(0.05, 0.05, 0.05))
     goal = region(problem.goals[0].center, half=(0.2, 0.2, 0.2))
-    free = Problem(problem.start, (far,), problem.attached, (goal,), seed=5)
+    free = among(problem, (far,), (goal,))
     nothing_else = {"self_collision_weight": 0.0, "velocity_weight": 0.0, "limit_weight": 0.0}
     (plan,) = make_planner(name, "Placement", settings=nothing_else).plan([free])
     (control,) = make_planner("promp", "Placement").plan([free])
@@ -99,7 +115,7 @@ def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, regi
 def test_cpromp_without_obstacles_is_nearly_the_prior(problems):
     """Its other costs, at their usual weights, take little from draws that have the way free."""
     problem = problems[0]
-    free = Problem(problem.start, (), problem.attached, problem.goals, seed=5)
+    free = among(problem, (), problem.goals)
     (plan,) = make_planner("cpromp", "Placement", settings={"particles": 1000}).plan([free])
     drawn = latents("cpromp", plan, free)
     assert np.linalg.norm(drawn.mean(axis=0)) < 1.5
@@ -113,7 +129,7 @@ def test_the_same_problem_gives_the_same_plan_whatever_came_before(name, problem
     again = planner.plan(problems[:2])[1]
     np.testing.assert_array_equal(again.trajectories, plan.trajectories)
     assert again.chosen == plan.chosen
-    (different,) = planner.plan([Problem(**vars(problems[1]) | {"seed": 77})])
+    (different,) = planner.plan([replace(problems[1], seed=77)])
     assert not np.array_equal(different.trajectories, plan.trajectories)
 
 
@@ -134,9 +150,9 @@ def test_components_are_adapted_on_their_own_or_merged(name, two_sided):
     merged = make_planner(name, "DoubleSidedPlacement", settings={**quick, "per_component": False})
     (single,) = merged.plan([two_sided])
     assert single.components is None
-    assert len(merged.mixture.components) == 1
+    assert len(merged.prior.used.components) == 1
     # A component ends where its demonstrations did; one Gaussian is tied to the likelier of both.
-    robot = jaco_model(two_sided.attached)
+    robot = two_sided.robot
     sides = []
     for planned in (plan, single):
         ends = planned.trajectories[:, -1]

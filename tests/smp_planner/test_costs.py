@@ -13,7 +13,9 @@ from smp_planner.collision import costs
 from smp_planner.collision import kernels as compiled
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
-from smp_planner.planning.problem import GoalRegion
+from smp_planner.planning.constraints import Reaching, ToolPath
+from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 
 OBSTACLES = (
     TABLE,
@@ -86,7 +88,7 @@ def test_collision_cost_is_eq_12(robot, grid, edge_width, margin):
     moving = robot.link > 0
     radius = torch.as_tensor(robot.radius[moving])
     truncation = torch.as_tensor(float(grid.values.max()), dtype=torch.float64)
-    reach = torch.minimum(truncation, radius + margin + costs.REACH * edge_width)
+    reach = torch.minimum(truncation, radius + margin + costs.CUTOFF_WIDTHS * edge_width)
 
     def squared(distance):
         return torch.sigmoid(-(distance - radius - margin) / edge_width) ** 2
@@ -173,7 +175,7 @@ def test_self_collision_cost(robot):
     def oracle(q):
         centers = robot.sphere_centers(q)
         gap = (centers[:, :, pairs[:, 0]] - centers[:, :, pairs[:, 1]]).norm(dim=-1) - both
-        reach = torch.as_tensor(margin + costs.REACH * edge_width, dtype=torch.float64)
+        reach = torch.as_tensor(margin + costs.CUTOFF_WIDTHS * edge_width, dtype=torch.float64)
         excess = torch.clamp(squared(gap) - squared(reach), min=0.0)
         return excess.sum(dim=(1, 2)) * costs.REFERENCE_STEPS / q.shape[1]
 
@@ -208,85 +210,6 @@ def test_velocity_limit_cost(robot):
     value, gradient = cost(line / 1.6)
     assert value == 0.0
     assert (gradient == 0.0).all()
-
-
-def test_via_point_cost_is_a_gaussian():
-    rng = np.random.default_rng(6)
-    q, targets, sigma = rng.normal(size=(4, 9, 3)), rng.normal(size=(3, 3)), np.array([0.1, 0.2, 3])
-    cost = costs.ViaPointCost((2, -1, 2), targets, sigma)
-    density = torch.distributions.Normal(torch.as_tensor(targets), torch.as_tensor(sigma))
-    peak = density.log_prob(density.mean).sum()
-    expected = peak - density.log_prob(torch.as_tensor(q[:, [2, 8, 2]])).sum(dim=(1, 2))
-    np.testing.assert_allclose(cost(q)[0], expected.numpy())
-    assert_gradient(cost, q)
-
-
-def test_carried_via_point_cost(robot):
-    q = trajectories(robot)
-    point = np.array([0.02, 0.01, -0.03])
-    cost = costs.carried_via_point_cost(robot, point, (4, -1), (0.3, 0.2, 0.1), 0.05)
-    assert_gradient(cost, q)
-    pose = kinematics.end_effector_pose(q[:, [4, 11]])
-    error = pose[..., :3, :3] @ point + pose[..., :3, 3] - (0.3, 0.2, 0.1)
-    expected = np.square(error).sum(axis=(1, 2)) / (2 * 0.05**2)
-    np.testing.assert_allclose(cost(q)[0], expected)
-
-
-def test_carried_box_cost(robot):
-    q = trajectories(robot)
-    point = np.array([0.02, 0.01, -0.03])
-    pose = kinematics.end_effector_pose(q[:, [0, 7]])
-    carried = pose[..., :3, :3] @ point + pose[..., :3, 3]
-    lower, upper = np.array([-0.1, -0.2, 0.2]), np.array([0.1, 0.1, 0.5])
-    sigma = np.array([0.1, 0.2, 0.3])
-    cost = costs.CarriedBoxCost(robot, point, (0, 7), lower, upper, sigma)
-    beyond = np.maximum(np.maximum(lower - carried, carried - upper), 0.0)
-    np.testing.assert_allclose(
-        cost(q)[0], np.square(beyond / sigma).sum(axis=(1, 2)) / 2, atol=1e-12
-    )
-    assert_gradient(cost, q)
-    around = costs.CarriedBoxCost(robot, point, 7, carried[2, 1] - 0.01, carried[2, 1] + 0.01, 0.1)
-    value, gradient = around(q)
-    assert value[2] == 0.0
-    assert (gradient[2] == 0.0).all()
-
-
-def test_goal_cost_is_a_mixture(robot):
-    q = trajectories(robot)
-    points = np.array([[0.02, 0.01, -0.03], [0.05, 0.0, 0.0]])
-    means = np.array([[0.3, 0.2, 0.1], [0.2, -0.4, 0.3]])
-    shares, sigma = np.array([1.0, 3.0]), 0.3
-    goals = tuple(GoalRegion(p, m, m) for p, m in zip(points, means, strict=True))
-    cost = costs.GoalCost(robot, goals, sigma, tuple(shares))
-
-    pose = kinematics.end_effector_pose(q[:, -1])
-    carried = np.einsum("pij,hj->phi", pose[:, :3, :3], points) + pose[:, None, :3, 3]
-    mixture = torch.distributions.Categorical(torch.as_tensor(shares))
-    normal = torch.distributions.Normal(torch.as_tensor(means), sigma)
-    log_density = torch.logsumexp(
-        mixture.logits + normal.log_prob(torch.as_tensor(carried)).sum(dim=2), dim=1
-    )
-    constant = 3 * torch.distributions.Normal(0.0, sigma).log_prob(torch.tensor(0.0))
-    np.testing.assert_allclose(cost(q)[0], (constant - log_density).numpy(), rtol=1e-6)
-    assert_gradient(cost, q)
-
-
-def test_one_goal_is_a_smooth_box(robot):
-    q = trajectories(robot)
-    region = GoalRegion((0.02, 0.0, 0.0), (0.1, -0.3, 0.0), (0.3, 0.3, 0.2))
-    value, gradient = costs.GoalCost(robot, (region,), 0.02)(q)
-    box = costs.CarriedBoxCost(robot, region.point, -1, region.lower, region.upper, 0.02)
-    expected_value, expected_gradient = box(q)
-    assert (expected_value > 0.0).any()
-    np.testing.assert_allclose(value, expected_value)
-    np.testing.assert_allclose(gradient, expected_gradient)
-
-
-def test_far_from_every_goal_the_gradient_is_finite(robot):
-    goals = tuple(GoalRegion(np.zeros(3), (x, 0, 0), (x, 0, 0)) for x in (50.0, 60.0))
-    value, gradient = costs.GoalCost(robot, goals, 1e-3)(trajectories(robot))
-    assert np.isfinite(value).all()
-    assert np.isfinite(gradient).all()
 
 
 def path_costs(robot, grid):
@@ -345,11 +268,11 @@ def test_lists_and_single_precision_are_taken(robot, grid):
 )
 def test_bad_trajectories_are_refused(robot, grid, q, message):
     region = GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))
+    via = ToolViaPoint(0.5, np.zeros(3), np.zeros(3), 0.1)
     for cost in (
         *path_costs(robot, grid).values(),
-        costs.ViaPointCost(0, np.zeros(6), 1.0),
-        costs.CarriedBoxCost(robot, np.zeros(3), 0, np.zeros(3), np.ones(3), 1.0),
-        costs.GoalCost(robot, (region,), 1.0),
+        ToolPath((via,), robot).cost(PlanSettings()),
+        Reaching((region,), robot).cost(PlanSettings()),
     ):
         with pytest.raises(ValueError, match=message):
             cost(q)
@@ -358,7 +281,6 @@ def test_bad_trajectories_are_refused(robot, grid, q, message):
 def test_bad_settings_are_refused(robot, grid):
     q = trajectories(robot)
     collision = costs.CollisionCost(robot, grid)
-    region = GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))
     zeros = np.zeros(3)
     for make, message in (
         (lambda: collision(q, 0.0), "edge_width must be positive, got 0.0"),
@@ -370,24 +292,6 @@ def test_bad_settings_are_refused(robot, grid):
         (lambda: costs.JointLimitCost(zeros, np.ones(2)), r"got \(3,\) and \(2,\)"),
         (lambda: costs.VelocityLimitCost(zeros, 1.0), "velocity must be"),
         (lambda: costs.VelocityLimitCost(np.ones(6), 0.0), "duration must be positive, got 0.0"),
-        (lambda: costs.ViaPointCost(0.5, zeros, 1.0), "steps must be one or more integers"),
-        (lambda: costs.ViaPointCost((), zeros, 1.0), "steps must be one or more integers"),
-        (lambda: costs.ViaPointCost((0, 1), np.zeros((3, 6)), 1.0), "targets must have shape"),
-        (lambda: costs.ViaPointCost(0, zeros, 0.0), "sigma must be a positive number"),
-        (lambda: costs.ViaPointCost(0, zeros, (1.0, 2.0)), "sigma must be a positive number"),
-        (lambda: costs.ViaPointCost(0, np.full(3, np.nan), 1.0), "targets must be finite"),
-        (lambda: costs.ViaPointCost(12, np.zeros(6), 1.0)(q), r"steps must lie in \[-12, 12\)"),
-        (
-            lambda: costs.CarriedBoxCost(robot, zeros, 0, np.ones(3), zeros, 1.0),
-            "must not exceed upper",
-        ),
-        (
-            lambda: costs.CarriedBoxCost(robot, np.zeros(2), 0, zeros, zeros, 1.0),
-            "point must have shape",
-        ),
-        (lambda: costs.GoalCost(robot, (), 1.0), "at least one GoalRegion"),
-        (lambda: costs.GoalCost(robot, (region,), 1.0, (0.0,)), "shares must be 1 positive"),
-        (lambda: costs.GoalCost(robot, (region,), 1.0, (1.0, 1.0)), "shares must be 1 positive"),
     ):
         with pytest.raises(ValueError, match=message):
             make()

@@ -16,7 +16,6 @@ from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model, jaco_of_spheres
 from smp_planner.collision.verification import TOLERANCE, check_collisions
 from smp_planner.occupancy.analytic import signed_distance
-from smp_planner.planning.problem import Stage
 
 MARGIN = 0.005
 
@@ -153,13 +152,10 @@ def test_what_moves_in_two_stages_keeps_the_margin_to_its_own_obstacles_only(arm
     held[0, 3] = 0.05
     hand = concatenate(arm_spheres(), finger_spheres((0.5, 0.5, 0.3, 0.3)))
     box = box_spheres((0.03, 0.03, 0.06), held)
-    stages = (Stage(0.0, 1.0, hand, obstacles[:2]), Stage(0.2, 1.0, box, obstacles[1:]))
-    together = EdgeChecker.of_stages(stages, MARGIN).edges_free(*edges)
+    bodies = [(jaco_of_spheres(hand), obstacles[:2]), (jaco_of_spheres(box), obstacles[1:])]
+    together = EdgeChecker.of_all(bodies, MARGIN).edges_free(*edges)
     whole = jaco_model(concatenate(finger_spheres((0.5, 0.5, 0.3, 0.3)), box))
-    apart = [
-        EdgeChecker(jaco_of_spheres(stage.spheres), stage.obstacles, MARGIN).edges_free(*edges)
-        for stage in stages
-    ]
+    apart = [EdgeChecker(robot, near, MARGIN).edges_free(*edges) for robot, near in bodies]
     alone = EdgeChecker(whole, ()).edges_free(*edges)
     np.testing.assert_array_equal(together, apart[0] & apart[1] & alone)
     all_of_all = EdgeChecker(whole, obstacles, MARGIN).edges_free(*edges)

@@ -12,7 +12,8 @@ from smp_gym.robot.kinematics import JOINT_VELOCITY, arm_spheres, end_effector_p
 from smp_gym.scene import TABLE, Goal, Obstacle
 from smp_gym.tasks.push_lift_box.rules import HAND_HEIGHT, OBJECT_BEHIND, PUSH_LENGTH
 from smp_planner.planners import make_planner
-from smp_planner.planning.problem import Stage, ViaPose
+from smp_planner.planning.problem import arm_stage
+from smp_planner.planning.tool_goals import ViaPose
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import problem_from
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -90,13 +91,13 @@ def test_stages_tell_when_the_box_is_an_obstacle_and_when_it_is_carried(posed):
     [(0.0, 1.0, 50, (0, 50)), (0.0, 0.5, 5, (0, 3)), (0.5, 1.0, 5, (2, 5)), (0.4, 0.6, 5, (1, 4))],
 )
 def test_the_steps_of_a_stage_cover_it(first, last, count, steps):
-    stage = Stage(first, last, arm_spheres(), ())
+    stage = arm_stage(first, last, arm_spheres(), ())
     assert stage.steps(count) == slice(*steps)
 
 
 def test_bad_stages_and_via_poses_are_refused():
     with pytest.raises(ValueError, match="must lie in"):
-        Stage(0.5, 0.5, arm_spheres(), ())
+        arm_stage(0.5, 0.5, arm_spheres(), ())
     with pytest.raises(ValueError, match=r"phase must lie in \[0, 1\], got 1.2"):
         ViaPose(1.2, np.eye(4))
     with pytest.raises(ValueError, match=r"pose must have shape \(4, 4\), got \(3,\)"):

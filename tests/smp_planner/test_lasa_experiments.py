@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from smp_planner.adaptation import GaussianVI, Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.experiments import boxes, comparison, modulation, tuning
 from smp_planner.experiments.figures import draw_side_by_side
 from smp_planner.experiments.lasa_scenes import (
@@ -34,7 +34,7 @@ assert _SPEC.loader is not None
 script = module_from_spec(_SPEC)
 _SPEC.loader.exec_module(script)
 
-QUICK = Method(Stein(iterations=30), settings())
+QUICK = Method(adaptation("smp", iterations=30), settings())
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_scenes_are_no_trivial_ones(letter: SMP) -> None:
 def test_figure_1(letter: SMP) -> None:
     reference = comparison.reference_of(letter)[::10]
     rows = {"floor": comparison.noise_floor_row(letter, FIGURE_1, reference, 21, 0)}
-    quicker = Method(GaussianVI(iterations=100), METHODS["cpromp"].settings)
+    quicker = Method(adaptation("cpromp", iterations=100), METHODS["cpromp"].settings)
     for name, method in {**METHODS, "cpromp": quicker}.items():
         plan = comparison.adapted(letter, FIGURE_1, method, 21, 0)
         rows[name] = comparison.measure(plan.trajectories, letter, FIGURE_1, reference)
@@ -78,7 +78,7 @@ def test_figure_1(letter: SMP) -> None:
 
 def test_nothing_is_measured_of_no_free_path(letter: SMP) -> None:
     blocked = LasaScene("Sshape", (Circle((20.0, 45.0), 12.0), Circle((20.0, 2.0), 12.0)))
-    paths = letter.adapt(particles=5, method=None).trajectories
+    paths = letter.adapt(particles=5, method="promp").trajectories
     row = comparison.measure(paths, letter, blocked, comparison.reference_of(letter))
     assert (row["free"], row["classes"], row["entropy"], row["mmd_free"]) == (0.0, 0.0, None, None)
 
@@ -91,7 +91,7 @@ def test_figure_2(letters: SMP) -> None:
         assert row["passed"] == row["reached"] == 20.0
         assert row["worst_end_error"] < 1e-6
         assert row["good"] == row["free"] > 15.0
-    unmoved = letters.adapt(particles=20, method=None)
+    unmoved = letters.adapt(particles=20, method="promp")
     row = modulation.modulation_row("x", "promp", FIGURE_2A, unmoved, 1)
     assert row["passed"] == row["reached"] == row["good"] == 0.0
 
@@ -120,7 +120,7 @@ def test_regions_hold_most_of_the_unadapted_primitive(letter: SMP, letters: SMP)
 
 def test_table_1(letters: SMP) -> None:
     rows = {
-        name: boxes.box_row(name, letters, FIGURE_2B, Method(Stein(), settings()), 42, 0)
+        name: boxes.box_row(name, letters, FIGURE_2B, Method(adaptation("smp"), settings()), 42, 0)
         for name in boxes.PRIORS
     }
     without, default, printed = rows.values()
@@ -144,7 +144,7 @@ def test_tuning_takes_the_nearest_of_the_freest(letter: SMP) -> None:
 
 
 def test_figure_is_written(letter: SMP, tmp_path: Path) -> None:
-    paths = letter.adapt(particles=3, method=None).trajectories
+    paths = letter.adapt(particles=3, method="promp").trajectories
     file = tmp_path / "deep" / "figure.png"
     draw_side_by_side({"a": paths, "b": paths}, letter.demonstrations, FIGURE_1, file)
     assert file.read_bytes().startswith(b"\x89PNG")
@@ -159,7 +159,7 @@ def _run(*arguments: str) -> str:
 
 
 def test_command_line_on_another_shape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    quick = {"smp": QUICK, "cpromp": Method(GaussianVI(iterations=5), settings())}
+    quick = {"smp": QUICK, "cpromp": Method(adaptation("cpromp", iterations=5), settings())}
     monkeypatch.setattr(script, "METHODS", quick)
     _run(
         *("compare", "--shape", "GShape", "--obstacle", "-20,0,2", "--goal", "1,1"),

@@ -9,19 +9,19 @@ from pybullet_utils.bullet_client import BulletClient
 from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.scene import Obstacle
-from smp_planner.adaptation import Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.collision.verification import TOLERANCE, check_collisions
 from smp_planner.library.cloud import learned_cloud
 from smp_planner.library.frame import Frame
-from smp_planner.library.point import path_clearance
 from smp_planner.library.scene import Scene
 from smp_planner.library.smp import SMP, AdaptSettings, PointCloud, Robot
 from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
+from smp_planner.planning.bodies import path_clearance
 
 PHASE = np.linspace(0.0, 1.0, 60)
 QUICK = AdaptSettings(map_points=6000, map_steps=400, retries=0)
-SHORT = Stein(iterations=40)
+SHORT = adaptation("smp", iterations=40)
 BLOCK = Obstacle(
     shape="box",
     position=(0.5, 0.0, 0.25),
@@ -110,7 +110,7 @@ def test_paths_go_round_what_the_camera_saw(space, block, arcs, plan):
     assert true[plan.chosen] > 0.0
     assert (true[plan.collision_free] > -0.01).all()
     prior = space.adapt(
-        block, start=arcs[0][0], goal=arcs[0][-1], radius=0.02, method=None, settings=QUICK
+        block, start=arcs[0][0], goal=arcs[0][-1], radius=0.02, method="promp", settings=QUICK
     )
     true = signed_distance(densely(prior.trajectories), [BLOCK]).min(axis=1) - 0.02
     assert (true < -0.01).sum() > 20
@@ -187,7 +187,7 @@ def test_an_arm_goes_round_what_the_camera_saw(placing, pillar, view):
     true = body_clearance(placing, plan.trajectories, [pillar])
     assert true[plan.chosen] > 0.0
     assert (true[plan.collision_free] > -0.01).all()
-    prior = placing.adapt(view, **ends, particles=40, method=None, settings=QUICK)
+    prior = placing.adapt(view, **ends, particles=40, method="promp", settings=QUICK)
     true = body_clearance(placing, prior.trajectories, [pillar])
     decided = np.abs(true) > 0.015
     assert (true[decided] < 0.0).any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_planner.adaptation import Stein
+from smp_planner.adaptation import adaptation
 from smp_planner.library.reading import demonstrations_of
 from smp_planner.library.smp import SMP, Circle
 
@@ -85,11 +85,11 @@ def test_bad_tables_are_named(tmp_path, content, message):
 
 
 def test_a_primitive_comes_back_as_it_was(tmp_path):
-    primitive = SMP.fit([PATHS[0][::2], *PATHS[1:]], smooth_std=0.07, basis=10)
+    primitive = SMP.fit([PATHS[0][::2], *PATHS[1:]], smooth_std=0.07, basis_functions=10)
     primitive.save(tmp_path / "primitive.npz")
     again = SMP.load(tmp_path / "primitive.npz")
     assert again.settings == primitive.settings
-    way, obstacles = Stein(iterations=10), [Circle((0.5, 0.9), 0.1)]
+    way, obstacles = adaptation("smp", iterations=10), [Circle((0.5, 0.9), 0.1)]
     plans = [p.adapt(obstacles, method=way, particles=7) for p in (primitive, again)]
     np.testing.assert_array_equal(plans[0].trajectories, plans[1].trajectories)
 

@@ -12,13 +12,13 @@ from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner.adaptation import Stein
-from smp_planner.collision.costs import CollisionCost
-from smp_planner.library.chain import Arm, robot_workspace
+from smp_planner.adaptation import adaptation
 from smp_planner.library.covering import cover_box, cover_cylinder, cover_mesh
-from smp_planner.library.maps import exact_grid
-from smp_planner.library.scene import Scene
+from smp_planner.library.scene import REFERENCE_SPHERES, Scene
 from smp_planner.library.smp import SMP, AdaptSettings, Box, Circle, GoalRegion, Robot, ViaPoint
+from smp_planner.planning.bodies import RobotBody
+from smp_planner.planning.maps import SceneMaps
+from smp_planner.planning.target import SceneTarget
 
 TIP = "j2s6s200_end_effector"
 AXES = [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0.6, 0, 0.8), (0, -1, 0), (1, 1, 1)]
@@ -241,8 +241,10 @@ def test_an_arm_goes_round_and_reaches_a_region(placing, jaco):
     assert (np.maximum(across, along) > 0.0).all()
     assert (outside > 0.0).all()
     np.testing.assert_allclose(plan.tool_paths, jaco.tool_positions(plan.trajectories))
-    assert plan.signatures.shape == (20, 2, 2)
-    unadapted = placing.adapt([pillar, TABLE], start=start, goal=region, method=None, particles=20)
+    assert plan.signatures.shape == (20, 5)
+    unadapted = placing.adapt(
+        [pillar, TABLE], start=start, goal=region, method="promp", particles=20
+    )
     assert unadapted.good.sum() < 10
 
 
@@ -254,20 +256,24 @@ def test_configurations_are_met_and_limits_kept(placing):
         goal=end,
         via_points=[ViaPoint(0.5, middle, 0.1)],
         particles=5,
-        method=Stein(iterations=30),
+        method=adaptation("smp", iterations=30),
     )
     np.testing.assert_allclose(plan.trajectories[:, -1], np.tile(end, (5, 1)), atol=1e-6)
     assert plan.passing.all()
     assert plan.executable.all()
     hurried = placing.adapt(
-        start=start, goal=end, particles=5, method=None, settings=AdaptSettings(duration_limit=1.0)
+        start=start,
+        goal=end,
+        particles=5,
+        method="promp",
+        settings=AdaptSettings(duration_limit=1.0),
     )
     assert not hurried.executable.any()
     assert (hurried.duration > 1.0).all()
 
 
 def test_what_demonstrations_touch_is_no_collision(placing):
-    plan = placing.adapt(method=None, particles=40)
+    plan = placing.adapt(method="promp", particles=40)
     # Without obstacles only the arm itself can be hit.
     assert np.isinf(plan.clearance).all()
     assert plan.collision_free.mean() > 0.9
@@ -280,10 +286,10 @@ def test_weights_do_not_change_with_steps_and_spheres(placing, jaco):
     twice = dataclasses.replace(model, spheres=kinematics.concatenate(model.spheres, model.spheres))
     costs = []
     for robot, step in ((model, 1), (model, 2), (twice, 1)):
-        grid = exact_grid(ball, robot_workspace(robot, ball))
-        arm = Arm(robot, ball, CollisionCost(robot, grid), AdaptSettings())
+        body = RobotBody(robot, reference_spheres=REFERENCE_SPHERES)
+        cost = body.obstacle_cost(ball, None, SceneMaps(AdaptSettings(), 0))
         path = placing.demonstrations[0][None, :199:step]
-        costs.append(arm.collision(path, 0.02, 0.0)[0][0])
+        costs.append(cost(path, 0.02, 0.0)[0][0])
     assert costs[0] > 1.0
     assert costs[1] == pytest.approx(costs[0], rel=0.01)
     assert costs[2] == pytest.approx(costs[0])
@@ -294,13 +300,14 @@ def test_a_learned_map_serves_a_robot(placing, jaco):
     ball = Obstacle(shape="sphere", position=tuple(tool[100]), size=(0.1, 0.1, 0.1))
     scene = Scene(placing.frame, placing.robot, [ball], 0.0)
     path = placing.demonstrations[0][None]
-    learned, exact = (
-        scene.mover(AdaptSettings(map=kind, map_points=5000, map_steps=400), 0, (), ())
-        for kind in ("neural", "exact")
-    )
-    expected = exact.collision(path, 0.02, 0.0)[0]
-    assert expected > 1.0
-    np.testing.assert_allclose(learned.collision(path, 0.02, 0.0)[0], expected, rtol=0.1)
+    costs = []
+    for kind in ("points", "exact"):
+        settings = AdaptSettings(map=kind, map_points=5000, map_steps=400)
+        target = SceneTarget(scene.problem((), settings, 0, ()), settings)
+        costs.append(target.costs(path)["obstacles"])
+    learned, exact = costs
+    assert exact > 1.0
+    np.testing.assert_allclose(learned, exact, rtol=0.1)
 
 
 def test_what_does_not_fit_a_robot_is_named(placing, jaco):
@@ -323,7 +330,7 @@ def test_what_does_not_fit_a_robot_is_named(placing, jaco):
 
 def test_obstacles_out_of_reach_cost_nothing(placing):
     far = Obstacle(shape="box", position=(9.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
-    plan = placing.adapt([far], particles=3, method=Stein(iterations=5))
+    plan = placing.adapt([far], particles=3, method=adaptation("smp", iterations=5))
     assert plan.costs["obstacles"].max() == 0.0
     assert plan.clearance.min() > 7.0
 
@@ -333,6 +340,6 @@ def test_a_robot_is_saved_with_its_primitive(placing, tmp_path: Path):
     again = SMP.load(tmp_path / "arm.npz")
     assert again.robot is not None
     assert again.robot.joints == placing.robot.joints
-    way = Stein(iterations=5)
+    way = adaptation("smp", iterations=5)
     first, second = (p.adapt(particles=4, method=way) for p in (placing, again))
     np.testing.assert_array_equal(first.trajectories, second.trajectories)

@@ -5,25 +5,37 @@ import pytest
 import torch
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
-from smp_planner.library.conditioning import branches
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
-from smp_planner.library.mover import Check
-from smp_planner.library.point import Ball, exact_map, path_clearance
+from smp_planner.library.requests import constraints_of
 from smp_planner.library.settings import AdaptSettings
 from smp_planner.library.shapes import Circle, Rectangle, bodies
-from smp_planner.library.sites import sites_of
-from smp_planner.library.target import SceneTarget, at_phase
 from smp_planner.movement_primitives import GaussianBasis, ProMP
+from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.occupancy.analytic import signed_distance
+from smp_planner.planning.bodies import Ball, path_clearance
+from smp_planner.planning.constraints import at_phases
+from smp_planner.planning.pipeline import condition
+from smp_planner.planning.problem import Problem, Stage
+from smp_planner.planning.target import SceneTarget
 
 FRAME = Frame(np.array([1.0, 2.0]), 4.0)
 POINTS = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2))
 
 
 def site_of(goal, sigma=0.1):
-    (site,) = sites_of(FRAME, None, (), goal, sigma, None)
+    (site,) = constraints_of(FRAME, None, (), goal, sigma, None)
     return site
+
+
+def cost(site, points, sigma=0.1):
+    """Return cost and gradient of a constraint at its phase, for points (P, D)."""
+    value, gradient = site.cost(AdaptSettings(sigma=sigma))(np.stack([points, points], axis=1))
+    return value, gradient.sum(axis=1)
+
+
+def missed(site, points):
+    return site.missed(np.stack([points, points], axis=1))
 
 
 def difference(function, points, step=1e-6):
@@ -47,7 +59,7 @@ def difference(function, points, step=1e-6):
 def test_gradients_of_sites(goal):
     site = site_of(goal)
     np.testing.assert_allclose(
-        site.cost(POINTS)[1], difference(lambda p: site.cost(p)[0], POINTS), atol=1e-5, rtol=1e-5
+        cost(site, POINTS)[1], difference(lambda p: cost(site, p)[0], POINTS), atol=1e-5, rtol=1e-5
     )
 
 
@@ -60,23 +72,23 @@ def test_a_choice_of_points_costs_what_the_mixture_says():
     )
     expected = -mixture.log_prob(torch.from_numpy(POINTS)).numpy()
     constant = np.log(2.0 * np.pi * 0.04)
-    np.testing.assert_allclose(site.cost(POINTS)[0], expected - constant, atol=1e-6)
+    np.testing.assert_allclose(cost(site, POINTS)[0], expected - constant, atol=1e-6)
 
 
 def test_a_box_costs_nothing_inside_and_as_eq_14_says_outside():
     box = Box((0.0, 1.0), (2.0, 3.0), sigma=0.8)
     inside, outside = FRAME.inwards([[1.0, 1.5], [3.0, 1.5]])
     site, printed = site_of(box), site_of(Box((0.0, 1.0), (2.0, 3.0), 0.8, paper_scale=True))
-    assert site.cost(inside[None])[0] == 0.0
-    assert site.cost(outside[None])[0] == pytest.approx(1.0 / (2.0 * 0.8**2))
-    assert printed.cost(outside[None])[0] == pytest.approx(1.0 / (np.sqrt(2.0) * 0.8**2))
-    assert FRAME.scale * site.missed(outside[None]) == pytest.approx(1.0)
+    assert cost(site, inside[None])[0] == 0.0
+    assert cost(site, outside[None])[0] == pytest.approx(1.0 / (2.0 * 0.8**2))
+    assert cost(printed, outside[None])[0] == pytest.approx(1.0 / (np.sqrt(2.0) * 0.8**2))
+    assert FRAME.scale * missed(site, outside[None]) == pytest.approx(1.0)
 
 
 def test_what_is_within_a_tolerance_is_not_missed():
-    (site,) = sites_of(FRAME, None, [ViaPoint(0.3, (1.0, 2.0), 0.4)], None, 0.1, None)
+    (site,) = constraints_of(FRAME, None, [ViaPoint(0.3, (1.0, 2.0), 0.4)], None, 0.1, None)
     points = FRAME.inwards([[1.0, 2.39], [1.0, 2.5]])
-    np.testing.assert_allclose(FRAME.scale * site.missed(points), [0.0, 0.1], atol=1e-8)
+    np.testing.assert_allclose(FRAME.scale * missed(site, points), [0.0, 0.1], atol=1e-8)
     # The box within which nothing is paid lies in the ball of the tolerance.
     corner = site.places[0].box.upper.numpy()
     assert np.linalg.norm(corner - site.places[0].point) < 0.4 / FRAME.scale
@@ -95,8 +107,8 @@ def primitive():
 def test_branches_are_the_posterior_of_a_mixture(primitive):
     noise = 0.3 / 3.0 / FRAME.scale
     options = [ViaPoint(0.4, (1.0, 2.0), 0.3), ViaPoint(0.4, (2.0, 3.0), 0.3)]
-    sites = sites_of(FRAME, None, [AnyOf(options, (0.6, 0.4))], None, 0.01, None)
-    found = branches(primitive, sites, 10_000)
+    sites = constraints_of(FRAME, None, [AnyOf(options, (0.6, 0.4))], None, 0.01, None)
+    found = condition(primitive, sites, AdaptSettings(particles=10_000))
     # Bayes' rule by importance weights of draws from the prior.
     weights = primitive.sample(200_000, torch.Generator().manual_seed(0))
     at = primitive.trajectory(weights, torch.tensor([0.4]).double())[:, 0]
@@ -104,32 +116,24 @@ def test_branches_are_the_posterior_of_a_mixture(primitive):
     likelihood = torch.exp(-0.5 * (at[:, None] - places).square().sum(-1) / noise**2)
     evidence = likelihood.mean(0) * torch.tensor([0.6, 0.4])
     share = (evidence / evidence.sum()).numpy()
-    counts = np.array([branch.count for branch in found])
+    counts = np.array(shared_out(10_000, [weight for _, weight in found]))
     assert counts.sum() == 10_000
     np.testing.assert_allclose(counts / 10_000, share, atol=0.03)
     expected = (likelihood[:, 0] @ weights) / likelihood[:, 0].sum()
     spread = primitive.covariance.diagonal().sqrt()
-    assert ((found[0].primitive.mean - expected).abs() / spread).max() < 0.1
+    assert ((found[0][0].mean - expected).abs() / spread).max() < 0.1
 
 
 def test_branches_without_a_share_are_left_out(primitive):
     far = AnyOf([FRAME.outwards(primitive.marginal(1.0)[0].numpy()), (400.0, 400.0)])
-    sites = sites_of(FRAME, None, (), far, 0.01, None)
-    assert [branch.count for branch in branches(primitive, sites, 42)] == [42]
+    sites = constraints_of(FRAME, None, (), far, 0.01, None)
+    assert len(condition(primitive, sites, AdaptSettings(particles=42))) == 1
 
 
-class Nowhere:
-    """A mover without obstacles whose paths cost their squared height."""
-
-    def collision(self, trajectories, edge_width, margin):
-        return np.zeros(len(trajectories)), np.zeros(trajectories.shape)
-
-    def limits(self, trajectories):
-        return {}
-
-    def check(self, trajectories):
-        count = len(trajectories)
-        return Check(*np.zeros((4, count)))
+def target_of(obstacles, constraints, radius=0.02):
+    ball = Ball(2, radius)
+    problem = Problem(ball, constraints, (Stage(0.0, 1.0, ball, obstacles),))
+    return SceneTarget(problem, AdaptSettings())
 
 
 def curve(steps):
@@ -140,10 +144,9 @@ def curve(steps):
 @pytest.mark.parametrize("steps", [50, 100])
 def test_costs_of_a_path_do_not_change_with_its_number_of_steps(steps):
     obstacles = bodies([Circle((1.0, 3.0), 0.5), Rectangle((2.0, 2.5), (0.3, 0.6), 0.4)], FRAME)
-    mover = Ball(obstacles, 0.02, exact_map(obstacles))
     via = [ViaPoint(0.37, (1.0, 2.1), 0.2)]
-    sites = sites_of(FRAME, (-1.0, 2.1), via, (3.0, 2.0), 0.05, None)
-    target = SceneTarget(mover, sites, AdaptSettings())
+    sites = constraints_of(FRAME, (-1.0, 2.1), via, (3.0, 2.0), 0.05, None)
+    target = target_of(obstacles, sites)
     fine, coarse = (target.costs(curve(n)) for n in (2 * steps, steps))
     assert fine["obstacles"] > 1.0
     for name, value in fine.items():
@@ -152,8 +155,8 @@ def test_costs_of_a_path_do_not_change_with_its_number_of_steps(steps):
 
 def test_the_gradient_of_a_scene_is_that_of_its_weighted_sum():
     obstacles = bodies([Circle((1.0, 3.0), 0.5)], FRAME)
-    sites = sites_of(FRAME, None, [ViaPoint(0.37, (1.0, 2.1), 0.2)], (3.0, 2.0), 0.05, None)
-    target = SceneTarget(Ball(obstacles, 0.02, exact_map(obstacles)), sites, AdaptSettings())
+    sites = constraints_of(FRAME, None, [ViaPoint(0.37, (1.0, 2.1), 0.2)], (3.0, 2.0), 0.05, None)
+    target = target_of(obstacles, sites)
     path = curve(50)
     gradient = target.gradient(path, 1.0)
     for step in (0, 13, 18, 19, 30, 49):
@@ -167,9 +170,9 @@ def test_the_gradient_of_a_scene_is_that_of_its_weighted_sum():
 def test_places_between_steps_are_interpolated():
     line = np.linspace([0.0, 1.0], [3.0, -1.0], 7)[None]
     for phase in (0.0, 0.31, 0.999, 1.0):
-        np.testing.assert_allclose(at_phase(line, phase)[0], [3.0 * phase, 1.0 - 2.0 * phase])
-    sites = sites_of(FRAME, None, [ViaPoint(0.25, (0.0, 0.0))], (1.0, 1.0), 0.1, None)
-    np.testing.assert_allclose(SceneTarget(Nowhere(), sites, AdaptSettings()).pins, [0, 0.25, 1])
+        np.testing.assert_allclose(at_phases(line, phase)[0, 0], [3.0 * phase, 1.0 - 2.0 * phase])
+    sites = constraints_of(FRAME, None, [ViaPoint(0.25, (0.0, 0.0))], (1.0, 1.0), 0.1, None)
+    np.testing.assert_allclose(target_of((), sites).pins, [0, 0.25, 1])
 
 
 def test_clearance_between_samples_is_found():

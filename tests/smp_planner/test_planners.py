@@ -9,11 +9,12 @@ from smp_gym.robot.kinematics import UnreachableError, box_spheres, concatenate,
 from smp_gym.robot.kinematics import finger_spheres as fingers
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
-from smp_planner.collision.robot_model import jaco_model
 from smp_planner.inference import SETTINGS
 from smp_planner.planners import PLANNERS, make_planner
-from smp_planner.planners.likelihood import Likelihood, LikelihoodSettings
-from smp_planner.planning.problem import GoalRegion, Planner, Problem
+from smp_planner.planning.problem import Planner, arm_problem
+from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.target import SceneTarget
+from smp_planner.planning.tool_goals import GoalRegion
 
 HELD = np.eye(4)
 HELD[0, 3] = 0.022
@@ -30,7 +31,7 @@ def problem_of(scene, seed=0, extra=(), goals=None):
         x, y, z = scene.goals[0].position
         goals = (region((x, y, z + BIN_HEIGHT + 0.055)),)
     obstacles = (*scene.obstacles, *extra, *fixtures(scene))
-    return Problem(np.array(scene.start), obstacles, spheres, goals, seed)
+    return arm_problem(np.array(scene.start), obstacles, spheres, goals, seed)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,6 @@ def test_every_planner_fulfils_the_protocol():
     for name in PLANNERS:
         planner = make_planner(name, "Placement")
         assert isinstance(planner, Planner)
-        assert planner.name == name
 
 
 def test_shapes_are_those_that_the_plan_promises(plan):
@@ -76,13 +76,13 @@ def test_trajectories_begin_at_rest_in_the_present_configuration(plan, scene):
 
 def test_the_chosen_particle_reaches_the_goal_and_nothing_on_the_way(plan, scene):
     """Checked here by sampling the path finely, with nothing of the planner's own checker."""
-    from smp_gym.robot.kinematics import arm_spheres, sphere_centers
+    from smp_gym.robot.kinematics import sphere_centers
     from smp_planner.occupancy.analytic import signed_distance
 
     problem = problem_of(scene)
     path = plan.trajectories[plan.chosen]
     fine = np.concatenate([np.linspace(a, b, 5, endpoint=False) for a, b in pairwise(path)])
-    spheres = concatenate(arm_spheres(), problem.attached)
+    spheres = problem.robot.spheres
     moving = spheres.link > 0
     centers = sphere_centers(fine, spheres)[:, moving]
     clearance = (signed_distance(centers, problem.obstacles) - spheres.radius[moving]).min()
@@ -133,9 +133,8 @@ def test_the_map_trained_from_the_scene_s_points_plans_too(scene):
 
 
 def test_the_gradient_is_that_of_the_costs(scene):
-    settings = LikelihoodSettings(margin=0.0, edge_width=(0.02, 0.02), goal_sigma=0.05)
-    problem = problem_of(scene)
-    likelihood = Likelihood(problem, jaco_model(problem.attached), settings)
+    settings = PlanSettings(margin=0.0, edge_width=(0.02, 0.02), sigma=0.05)
+    likelihood = SceneTarget(problem_of(scene), settings)
     rng = np.random.default_rng(0)
     path = Demonstrations.load("Placement").configurations[2, ::4]
     trajectories = path + 0.1 * np.cumsum(rng.normal(size=(1, 50, 6)), axis=1) / 5
@@ -220,9 +219,10 @@ def test_settings_are_checked(settings):
     ],
 )
 def test_a_problem_checks_what_it_is_made_of(change, scene):
-    values = vars(problem_of(scene)) | change
+    problem = problem_of(scene)
+    values = {"start": problem.start, "goals": problem.goals} | change
     with pytest.raises(ValueError, match=next(iter(change))):
-        Problem(**values)
+        arm_problem(obstacles=(), attached=fingers(FINGERS), seed=0, **values)
 
 
 def test_a_goal_region_has_its_corners_in_order():
@@ -237,3 +237,14 @@ def test_planning_leaves_the_number_of_threads_alone(smp, scene):
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
+
+
+def test_a_batch_of_unequal_problems_gives_the_plans_of_each(smp, scene, plan):
+    """Of two scenes and another number of goals, each as if it were planned alone."""
+    x, y, z = scene.goals[0].position
+    other = problem_of(sample_scene("Placement", "easy", 5), seed=9)
+    goals = (region((x, y, z + BIN_HEIGHT + 0.055)), region((x, y, 3.0)))
+    plans = smp.plan([problem_of(scene), other, problem_of(scene, seed=4, goals=goals)])
+    np.testing.assert_array_equal(plans[0].trajectories, plan.trajectories)
+    np.testing.assert_array_equal(plans[1].trajectories, smp.plan([other])[0].trajectories)
+    assert plans[2].good[plans[2].chosen]

@@ -60,7 +60,7 @@ def test_scenes_without_an_exact_posterior(primitive: SMP) -> None:
 
 
 def test_a_set_against_itself(primitive: SMP) -> None:
-    paths = primitive.adapt(particles=100, method=None).trajectories
+    paths = primitive.adapt(particles=100, method="promp").trajectories
     ways = classes(paths, FIGURE_1.obstacles, common_ends(primitive))
     reference = Reference(paths, ways)
     row = posterior_row("itself", paths, ways, reference, FIGURE_1)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, UnreachableError, end_effector_pose
-from smp_planner.planners.rrt_connect.postures import pose_chain, reaching
-from smp_planner.planning.problem import ViaPose
+from smp_planner.planning.postures import pose_chain, reaching
 
 
 def test_configurations_reach_the_regions(placement, crowded, checker, postures, held, region):
@@ -51,11 +50,10 @@ def test_a_chain_takes_its_poses_and_keeps_its_branch():
     first, last = np.array([-0.9, 3.8, 0.8, 0.2, 1.9, 0.1]), np.array([-1.2, 4.2, 1.0, 0, 1.6, 0.2])
     expected = first + ways * (last - first)
     poses = end_effector_pose(expected)
-    via_poses = [ViaPose(float(phase), pose) for phase, pose in zip(ways[:, 0], poses, strict=True)]
-    chain = pose_chain(via_poses, last + 0.05)
+    chain = pose_chain(list(poses), last + 0.05)
     np.testing.assert_allclose(end_effector_pose(chain), poses, atol=1e-4)
     np.testing.assert_allclose(chain, expected, atol=1e-3)
-    other = pose_chain(via_poses, last + np.array([np.pi, -2.0, 3.0, np.pi, 1.0, 0.0]))
+    other = pose_chain(list(poses), last + np.array([np.pi, -2.0, 3.0, np.pi, 1.0, 0.0]))
     np.testing.assert_allclose(end_effector_pose(other), poses, atol=1e-4)
     assert ((other >= JOINT_LOWER) & (other <= JOINT_UPPER)).all()
 
@@ -64,4 +62,4 @@ def test_a_pose_out_of_reach_is_told():
     far = np.eye(4)
     far[0, 3] = 2.0
     with pytest.raises(UnreachableError):
-        pose_chain([ViaPose(0.5, far)], np.zeros(6))
+        pose_chain([far], np.zeros(6))

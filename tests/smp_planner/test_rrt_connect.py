@@ -12,7 +12,6 @@ from smp_gym.robot.kinematics import UnreachableError, end_effector_pose
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
 from smp_planner.collision.edge_check import EdgeChecker
-from smp_planner.collision.robot_model import jaco_model
 from smp_planner.collision.verification import check_collisions, verify
 from smp_planner.movement_primitives import GaussianBasis, phases
 from smp_planner.planners import make_planner
@@ -26,6 +25,11 @@ def lid(scene):
     """A plate over the bin, under which no hand fits."""
     x, y, _ = scene.goals[0].position
     return Obstacle(shape="box", position=(x, y, 0.2), size=(0.2, 0.2, 0.05))
+
+
+def with_obstacle(problem, obstacle):
+    (stage,) = problem.stages
+    return replace(problem, stages=(replace(stage, obstacles=(*stage.obstacles, obstacle)),))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +53,7 @@ def test_scenes_are_solved(placement, held, difficulty):
     for seed in range(12):
         problem = placement(sample_scene("Placement", difficulty, seed), seed)
         trajectory = single.plan([problem])[0].trajectories[0]
-        robot = jaco_model(problem.attached)
+        robot = problem.robot
         verdict = verify(trajectory[None], robot, problem.obstacles)
         assert verdict.collision_free[0]
         assert verdict.executable[0]
@@ -62,7 +66,7 @@ def test_scenes_are_solved(placement, held, difficulty):
 
 def test_a_start_nearer_than_the_margin_is_left_with_the_least_one(planner, placement, held, scene):
     problem = placement(scene)
-    robot = jaco_model(problem.attached)
+    robot = problem.robot
     still = np.stack([problem.start, problem.start])[None]
     held = (end_effector_pose(problem.start) @ held)[:3, 3]
     # A post beside the held object, as near as the clearance that is asked for below.
@@ -72,7 +76,7 @@ def test_a_start_nearer_than_the_margin_is_left_with_the_least_one(planner, plac
         )
         if check_collisions(still, robot, (post,)).clearance[0] > 0.003:
             break
-    near = replace(problem, obstacles=(*problem.obstacles, post))
+    near = with_obstacle(problem, post)
     assert not EdgeChecker(robot, (post,), 0.005).configurations_free(problem.start[None])[0]
     plan = planner.plan([near])[0]
     trajectory = plan.trajectories[plan.chosen]
@@ -188,7 +192,7 @@ def test_a_via_point_that_cannot_be_passed_is_told(drawing):
     via = drawing.via_points[4]
     ball = Obstacle(shape="sphere", position=tuple(via.position.tolist()), size=(0.1,) * 3)
     planner = make_planner("rrt_connect", "DrawS", settings={"particles": 1, "iterations": 50})
-    plan = planner.plan([replace(drawing, obstacles=(*drawing.obstacles, ball))])[0]
+    plan = planner.plan([with_obstacle(drawing, ball)])[0]
     assert not plan.good.any()
     assert "0 of 1 searches" in plan.message
 

@@ -5,14 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from smp_gym.robot.kinematics import arm_spheres, concatenate, sphere_centers
+from smp_gym.robot.kinematics import sphere_centers
 from smp_gym.scene import Obstacle
 from smp_planner.collision.edge_check import EdgeChecker
-from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.analytic import signed_distance
-from smp_planner.planners.rrt_connect.postures import reaching
 from smp_planner.planners.rrt_connect.shortcutting import path_length
 from smp_planner.planners.rrt_connect.tree_search import rrt_connect
+from smp_planner.planning.postures import reaching
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,7 @@ def test_a_path_is_free_from_start_to_goal(problem, goals, checker):
     np.testing.assert_array_equal(path[0], problem.start)
     assert (path[-1] == goals).all(axis=1).any()
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= 0.5 + 1e-9
-    spheres = concatenate(arm_spheres(), problem.attached)
+    spheres = problem.robot.spheres
     moving = spheres.link > 0
     for a, b in pairwise(path):
         fine = np.linspace(a, b, 100)
@@ -45,7 +44,7 @@ def test_a_path_is_free_from_start_to_goal(problem, goals, checker):
 
 
 def test_in_free_space_the_way_is_straight(problem):
-    free = EdgeChecker(jaco_model(problem.attached), ())
+    free = EdgeChecker(problem.robot, ())
     goal = problem.start + np.array([0.3, 0.1, -0.1, 0.2, 0.1, 0.5])
     path = rrt_connect(problem.start, goal[None], free, np.random.default_rng(0))
     assert path_length(path) == pytest.approx(np.linalg.norm(goal - problem.start))

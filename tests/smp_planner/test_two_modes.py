@@ -7,7 +7,6 @@ import pytest
 from smp_gym.observation import decode
 from smp_gym.scene import PAD_HALF_WIDTH, fixtures
 from smp_gym.tasks.double_sided_placement.rules import SIDES
-from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planners import make_planner
 from smp_planner.policy.observed_problem import problem_from
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -30,7 +29,7 @@ def envs():
 
 def sides_reached(problem, ends):
     """Return which goal region each end configuration is in, -1 for none."""
-    robot = jaco_model(problem.attached)
+    robot = problem.robot
     sides = np.full(len(ends), -1)
     for number, goal in enumerate(problem.goals):
         points = robot.carried_points(ends, goal.point)[0]

@@ -16,7 +16,6 @@ from smp_planner.experiments.baseline_tuning import (
     trial,
     trials_table,
 )
-from smp_planner.planners.judging import REACHED
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 
@@ -40,12 +39,11 @@ def test_a_trial_counts_particles_that_are_good_and_reach_the_goal(monkeypatch):
     plans = iter(
         SimpleNamespace(
             good=np.array(good),
-            goal_error=REACHED * np.array(error),
             collision_free=np.array(free),
         )
-        for good, error, free in (
-            ([True, True, False, True], [0.5, 2.0, 0.5, 0.9], [True, True, True, True]),
-            ([True, False], [3.0, 0.1], [True, False]),
+        for good, free in (
+            ([True, False, False, True], [True, True, True, True]),
+            ([False, False], [True, False]),
         )
     )
 
