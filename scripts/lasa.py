@@ -14,7 +14,8 @@ import typer
 from rich.console import Console
 
 from smp_planner.benchmark.options import chosen_names
-from smp_planner.experiments import boxes, comparison, modulation, tuning
+from smp_planner.experiments import boxes, comparison, tuning
+from smp_planner.experiments import lasa_modulation as modulation
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2A,

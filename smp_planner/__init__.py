@@ -1,10 +1,62 @@
-"""Movement primitives adapted to new scenes by Stein variational gradient descent."""
+"""Movement primitives adapted to new scenes by Stein variational gradient descent.
 
+The front door: `SMP` learns from demonstrations of one's own and plans without an environment,
+`PlannerPolicy` plans and acts in the environments of `smp_gym`, `make_planner` gives the planner
+inside. What is named here is loaded when it is first asked for.
+"""
+
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from smp_planner.library.smp import (
+        SMP,
+        AdaptSettings,
+        AnyOf,
+        Box,
+        Circle,
+        GoalRegion,
+        Plan,
+        PointCloud,
+        PriorSettings,
+        Rectangle,
+        Robot,
+        ViaPoint,
+    )
+    from smp_planner.planners import make_planner
+    from smp_planner.policy.planner_policy import PlannerPolicy
+
+__all__ = [
+    "SMP",
+    "AdaptSettings",
+    "AnyOf",
+    "Box",
+    "Circle",
+    "GoalRegion",
+    "Plan",
+    "PlannerPolicy",
+    "PointCloud",
+    "PriorSettings",
+    "Rectangle",
+    "Robot",
+    "ViaPoint",
+    "__version__",
+    "make_planner",
+]
 
 try:
     __version__ = version("smp-gym")
 except PackageNotFoundError:  # A checkout on the path that is not installed.
     __version__ = "unknown"
+
+_HOMES = {
+    "PlannerPolicy": "smp_planner.policy.planner_policy",
+    "make_planner": "smp_planner.planners",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES.get(name, "smp_planner.library.smp")), name)

@@ -1,6 +1,7 @@
 """The rules of the house that no single room can check: who may import what, and no pickle."""
 
 import ast
+import graphlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,3 +125,84 @@ def test_the_check_sees_violations(path: str, source: str) -> None:
 )
 def test_the_check_lets_the_allowed_pass(path: str, source: str) -> None:
     assert _violations(Path(path), source) == []
+
+
+PLANNER_ROOMS = (
+    ("movement_primitives", "inference", "occupancy"),
+    ("collision",),
+    ("adaptation",),
+    ("planning",),
+    ("planners", "library"),
+    ("policy",),
+    ("benchmark", "agents"),
+    ("experiments",),
+)
+"""Rooms of the planner, from the lowest: each imports of its own and of those before it."""
+
+
+def _modules() -> dict[str, ast.Module]:
+    found = {}
+    for path in FILES:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        found[name] = ast.parse(path.read_text())
+    return found
+
+
+def _at_import(tree: ast.Module) -> Iterator[ast.stmt]:
+    """Yield the statements that run when a module is imported."""
+    for node in tree.body:
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        yield node
+
+
+def _imported(modules: dict[str, ast.Module], nodes: Iterator[ast.AST]) -> set[str]:
+    """Return the modules of the packages that statements import."""
+    found = set()
+    for node in nodes:
+        for name in _imports(node):
+            while name and name not in modules:
+                name = name.rpartition(".")[0]
+            if name:
+                found.add(name)
+    return found
+
+
+def test_no_module_needs_itself_to_be_imported() -> None:
+    modules = _modules()
+    graph = {name: _imported(modules, _at_import(tree)) - {name} for name, tree in modules.items()}
+    # A package is imported before what is in it, and what it re-exports is no circle of ideas.
+    graph = {
+        name: {other for other in others if not name.startswith(f"{other}.")}
+        for name, others in graph.items()
+    }
+    order = graphlib.TopologicalSorter(graph)
+    assert len(list(order.static_order())) >= len(modules)
+
+
+def test_the_planner_s_rooms_import_downwards_only() -> None:
+    modules = _modules()
+    floor = {room: number for number, rooms in enumerate(PLANNER_ROOMS) for room in rooms}
+    for name, tree in modules.items():
+        parts = name.split(".")
+        if parts[0] != "smp_planner" or len(parts) < 2:
+            continue
+        assert parts[1] in floor, f"{name} stands in no room of PLANNER_ROOMS"
+        for other in _imported(modules, iter([tree])):
+            target = other.split(".")
+            if target[0] == "smp_planner" and len(target) > 1:
+                assert floor[target[1]] <= floor[parts[1]], f"{name} imports {other}"
+
+
+def test_a_file_s_name_says_one_thing_in_a_package() -> None:
+    """But for the parts that every task's folder has."""
+    for package in ("smp_gym", "smp_planner"):
+        stems = [
+            path.stem
+            for path in FILES
+            if path.is_relative_to(ROOT / package)
+            and path.stem != "__init__"
+            and not path.is_relative_to(ROOT / "smp_gym" / "tasks")
+        ]
+        assert sorted(stems) == sorted(set(stems))

@@ -33,7 +33,7 @@ def one_gaussian(adapt_gaussian: AdaptGaussian) -> Adapt:
         target: Target,
         rngs: Sequence[np.random.Generator],
         settings: Any,
-        good: Good,
+        good: Good | None = None,
     ) -> Tensor:
         carried = []
         for primitive, scene, rng, drawn in zip(

@@ -66,7 +66,7 @@ class Target(Protocol):
         ...
 
 
-Adapt = Callable[["Runs", Tensor, Target, Sequence[np.random.Generator], Any, Good], Tensor]
+Adapt = Callable[["Runs", Tensor, Target, Sequence[np.random.Generator], Any, Good | None], Tensor]
 """An adaptation: from runs, particles (B, P, r) drawn from their priors (whitened, so standard
 normals), the target, a generator for each run, the adaptation's settings, and a question that may
 be asked before the end, to adapted particles (B, P, r). Particles of a run see each other; runs do

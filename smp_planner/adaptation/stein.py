@@ -61,12 +61,12 @@ def stein(
     target: Target,
     rngs: Sequence[np.random.Generator],
     settings: SteinSettings,
-    good: Good,
+    good: Good | None = None,
 ) -> Tensor:
     """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing."""
     inference = _inference(runs, settings)
     whiten = inference.whiten
-    ask = settings.early_stop
+    ask = settings.early_stop and good is not None
 
     def whitened(particles: Tensor) -> Tensor:
         return particles if whiten else runs.whiten(particles)
@@ -90,6 +90,7 @@ def stein(
             before, after = whitened(particles), whitened(state.particles)
             movement = float((after - before).square().mean(-1).sqrt().mean())
             if converged(state, movement, inference):
+                assert good is not None
                 if good(after).mean() >= settings.good_share:
                     break
                 ask = False

@@ -44,12 +44,8 @@ REFERENCE_STEPS = 50
 
 
 def steps_scale(steps: int) -> float:
-    """Return the factor of a sum over steps, so that weights do not depend on their number.
-
-    What lies between steps counts, not the steps: then a trajectory whose ends are clear costs the
-    same however finely it is sampled. It is 1 for `REFERENCE_STEPS`.
-    """
-    return (REFERENCE_STEPS - 1) / max(steps - 1, 1)
+    """Return the factor of a sum over steps, so that weights do not depend on their number."""
+    return REFERENCE_STEPS / steps
 
 
 CUTOFF_WIDTHS = 6.0

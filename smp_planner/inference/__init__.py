@@ -11,7 +11,7 @@ from smp_planner.inference.gaussian_vi import (
     init_gaussian,
     step_gaussian,
 )
-from smp_planner.inference.kernels import (
+from smp_planner.inference.stein_kernels import (
     RBF,
     InverseMultiquadric,
     MetricKernel,

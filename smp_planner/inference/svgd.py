@@ -27,7 +27,8 @@ from smp_planner.inference.annealing import (
     linear_decay,
     tanh_annealing,
 )
-from smp_planner.inference.kernels import (
+from smp_planner.inference.optimizers import AdaGrad, Adam, Optimizer
+from smp_planner.inference.stein_kernels import (
     RBF,
     InverseMultiquadric,
     Kernel,
@@ -35,7 +36,6 @@ from smp_planner.inference.kernels import (
     median_bandwidth,
     median_over_log_bandwidth,
 )
-from smp_planner.inference.optimizers import AdaGrad, Adam, Optimizer
 
 __all__ = [
     "SETTINGS",

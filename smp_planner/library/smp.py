@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_planner.adaptation import Adaptation, adaptation
+from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, SMOOTH_STD, AdaptSettings
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
@@ -27,7 +28,6 @@ from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.reading import demonstrations_of
 from smp_planner.library.requests import Wanted, constraints_of
 from smp_planner.library.scene import Scene
-from smp_planner.library.settings import JOINT_SMOOTH_STD, SMOOTH_STD, AdaptSettings
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from smp_planner.collision.costs import Cost, ValueAndGradient, steps_scale
+from smp_planner.collision.costs import REFERENCE_STEPS, Cost, ValueAndGradient, steps_scale
 from smp_planner.planning.bodies import ObstacleCost
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.problem import Problem, Stage
@@ -98,8 +98,9 @@ class SceneTarget:
         for stage, cost in self._stages:
             steps = stage.steps(count)
             part = trajectories[:, steps]
-            # A cost is scaled to a number of steps: a stage has its share of them.
-            share = steps_scale(count) / steps_scale(part.shape[1])
+            # What lies between steps counts, not the steps: so a trajectory whose ends are clear
+            # costs the same however finely it is sampled.
+            share = (REFERENCE_STEPS - 1) / (count - 1) / steps_scale(part.shape[1])
             of_stage, slope = cost(part, width, margin)
             value += share * of_stage
             gradient[:, steps] += share * slope

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from smp_planner.inference.kernels import (
+from smp_planner.inference.stein_kernels import (
     RBF,
     InverseMultiquadric,
     MetricKernel,

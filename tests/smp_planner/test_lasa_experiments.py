@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from smp_planner.adaptation import adaptation
-from smp_planner.experiments import boxes, comparison, modulation, tuning
+from smp_planner.experiments import boxes, comparison, tuning
+from smp_planner.experiments import lasa_modulation as modulation
 from smp_planner.experiments.figures import draw_side_by_side
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,

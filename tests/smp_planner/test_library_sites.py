@@ -5,10 +5,10 @@ import pytest
 import torch
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
+from smp_planner.library.adapt_settings import AdaptSettings
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.requests import constraints_of
-from smp_planner.library.settings import AdaptSettings
 from smp_planner.library.shapes import Circle, Rectangle, bodies
 from smp_planner.movement_primitives import GaussianBasis, ProMP
 from smp_planner.movement_primitives.mixture import shared_out

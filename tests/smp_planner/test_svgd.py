@@ -19,8 +19,8 @@ from smp_planner.inference import (
     step,
 )
 from smp_planner.inference.annealing import cyclic_annealing, tanh_annealing
-from smp_planner.inference.kernels import KernelTerms
 from smp_planner.inference.optimizers import GradientAscent
+from smp_planner.inference.stein_kernels import KernelTerms
 from smp_planner.movement_primitives import GaussianBasis, ProMP, smooth_covariance
 
 PATIENT = SVGDSettings(step_size=0.1, final_step=0.01, iterations=500)
