@@ -6,7 +6,7 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
@@ -23,6 +23,8 @@ from smp_gym.scene import EVALUATION_SEEDS_START
 
 __all__ = [
     "INTERRUPTED",
+    "Jobs",
+    "Names",
     "chosen_names",
     "one_of",
     "pooled",
@@ -33,6 +35,12 @@ __all__ = [
 
 INTERRUPTED = 130
 """Exit status of a command that the user interrupts, as shells have it."""
+
+Names = Annotated[str, typer.Option(help="Separated by commas. Default: all.")]
+"""Option for names, to be read by `chosen_names`."""
+
+Jobs = Annotated[int, typer.Option(min=1, help="Worker processes.")]
+"""Option for the number of worker processes."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
