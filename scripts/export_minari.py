@@ -11,16 +11,16 @@ from rich.console import Console
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.datasets.minari_export import Act, dataset_path, export_demonstrations
+from smp_gym.datasets.minari_export import dataset_path, export_demonstrations
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark.options import progress_bar
 from smp_planner.policy.tracking import Track, gripper_event
 
 
-def acts(demonstrations: Demonstrations) -> list[Act]:
+def tracks(demonstrations: Demonstrations) -> list[Track]:
     """Return what executes each demonstration as it was given, its own gripper included."""
     return [
-        Track(configurations, float(duration), gripper_event(gripper[None])).action
+        Track(configurations, float(duration), gripper_event(gripper[None]))
         for configurations, duration, gripper in zip(
             demonstrations.configurations,
             demonstrations.durations,
@@ -62,7 +62,7 @@ def main(
         with progress_bar(demonstrations.task, count, console, transient=True) as (bar, playing):
             dataset = export_demonstrations(
                 demonstrations,
-                acts(demonstrations),
+                tracks(demonstrations),
                 dataset_id,
                 difficulty=difficulty,
                 overwrite=overwrite,

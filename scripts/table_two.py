@@ -11,7 +11,7 @@ from rich.console import Console
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
 from smp_planner.benchmark.options import Jobs, Names, chosen_names, progress_bar
-from smp_planner.benchmark.row_file import ResultsError
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
 

@@ -1,4 +1,4 @@
-"""From motions of the end effector to joint velocities: the control mode ``end_effector``."""
+"""Actions: towards a joint reference, and from motions of the end effector to joint velocities."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from smp_gym.robot.kinematics import (
     link_transforms,
 )
 
-__all__ = ["ANGULAR_SPEED", "LINEAR_SPEED", "joint_action"]
+__all__ = ["ANGULAR_SPEED", "LINEAR_SPEED", "joint_action", "reference_action"]
 
 LINEAR_SPEED = 0.15
 """m/s of the end effector at a linear action of 1."""
@@ -31,6 +31,22 @@ _ITERATIONS = 3
 _DAMPING = 0.02
 """Metres; a radian of rotation counts as 0.3. Directions in which a radian of the joints moves the
 hand by less than that are given up rather than followed by fast joints."""
+
+
+def reference_action(
+    target: FloatArray, reference: FloatArray, gripper: float
+) -> NDArray[np.float32]:
+    """Return the action (7,) that leads the joint reference to a target in one step.
+
+    Nothing accumulates: what is cut off at the velocity limits is caught up by the next step.
+
+    Args:
+        target: (6,) rad, where the reference shall be after the step.
+        reference: (6,) rad, where it is now.
+        gripper: the gripper's action, -1 opening to 1 closing.
+    """
+    velocity = (target - reference) / (CONTROL_PERIOD * JOINT_VELOCITY)
+    return np.append(np.clip(velocity, -1.0, 1.0), gripper).astype(np.float32)
 
 
 def joint_action(action: FloatArray, reference: FloatArray) -> FloatArray:

@@ -44,6 +44,7 @@ __all__ = [
     "decode",
     "encode_desired_goal",
     "observation_space",
+    "state_field",
 ]
 
 CONTROL_PERIOD = 0.05
@@ -237,6 +238,15 @@ class _Join:
         np.maximum(joined, self._low, out=joined)
         np.minimum(joined, self._high, out=joined)
         return joined.astype(np.float32)
+
+
+def state_field(observation: Mapping[str, Any], name: str) -> Array:
+    """Return one field of `STATE_LAYOUT` of an observation (dict), unchecked, as float64.
+
+    Raises:
+        KeyError: no such field.
+    """
+    return np.asarray(observation["observation"][_places(STATE_LAYOUT)[name]], np.float64)
 
 
 def _check_task(task: str) -> None:

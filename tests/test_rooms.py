@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("smp_gym", "smp_planner", "envs_assets")
 MAKING = ("agents", "benchmark", "experiments")
 TRAINING = (("smp_planner", "agents"), ("smp_gym", "inspection"))
-ALLOWED_OF_GYM = {"scene", "observation", "robot", "geometry", "datasets", "assets"}
+ALLOWED_OF_GYM = {"scene", "observation", "control", "robot", "geometry", "datasets", "assets"}
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
 

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from smp_gym.datasets.demonstrations import FORMAT_VERSION, Demonstrations
-from smp_gym.observation import decode
+from smp_gym.registration import environment_id
+from smp_gym.rollout import Moment, Policy, rollout
 from smp_gym.scene import DIFFICULTIES, Scene
 
 if TYPE_CHECKING:
@@ -29,15 +29,11 @@ if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
 
 __all__ = [
-    "Act",
     "dataset_path",
     "default_dataset_id",
     "export_demonstrations",
     "import_demonstrations",
 ]
-
-Act = Callable[[int, NDArray[np.float64]], NDArray[np.float32]]
-"""From the steps since the episode began, and the joint reference (6,) rad, to an action (7,)."""
 
 AUTHOR = "Stein Movement Primitives contributors"
 
@@ -84,7 +80,7 @@ def dataset_path(dataset_id: str) -> Path:
 
 def export_demonstrations(
     demonstrations: Demonstrations,
-    acts: Sequence[Act],
+    policies: Sequence[Policy],
     dataset_id: str | None = None,
     *,
     difficulty: str = "medium",
@@ -98,8 +94,8 @@ def export_demonstrations(
 
     Args:
         demonstrations: what to export.
-        acts: for each demonstration what executes it, such as
-            `smp_planner.policy.tracking.Track.action`.
+        policies: for each demonstration what executes it, such as
+            `smp_planner.policy.tracking.Track`.
         dataset_id: by default `default_dataset_id` of the task.
         difficulty: of the environment that the data set brings, whose `reset` draws new scenes.
         overwrite: whether to replace a data set of this id.
@@ -110,7 +106,7 @@ def export_demonstrations(
 
     Raises:
         ImportError: Minari is not installed.
-        ValueError: no such difficulty, no such id, or not one of `acts` for each demonstration.
+        ValueError: no such difficulty, no such id, or not one of `policies` for each demonstration.
         FileExistsError: there is a data set of this id, and `overwrite` is False.
         RuntimeError: an episode did not end in success; the message says which, and why.
     """
@@ -123,17 +119,18 @@ def export_demonstrations(
     if difficulty not in DIFFICULTIES:
         allowed = ", ".join(DIFFICULTIES)
         raise ValueError(f"difficulty must be one of {allowed}; got {difficulty!r}")
-    if len(acts) != len(demonstrations):
+    if len(policies) != len(demonstrations):
         raise ValueError(
-            f"acts must hold one for each of {len(demonstrations)} demonstrations, got {len(acts)}"
+            f"policies must hold one for each of {len(demonstrations)} demonstrations, got "
+            f"{len(policies)}"
         )
     if path.exists() and not overwrite:
         raise FileExistsError(f"there is a data set {dataset_id} in {path}: overwrite it, or not")
-    env = gymnasium.make(f"smp_gym/{demonstrations.task}-v0", difficulty=difficulty)
+    env = gymnasium.make(environment_id(demonstrations.task), difficulty=difficulty)
     episodes = []
     try:
-        for number, (scene, act) in enumerate(zip(demonstrations.scenes, acts, strict=True)):
-            episodes.append(_played(env, number, scene, act))
+        for number, scene in enumerate(demonstrations.scenes):
+            episodes.append(_played(env, number, scene, policies[number]))
             if finished is not None:
                 finished(number)
     finally:
@@ -148,41 +145,31 @@ def export_demonstrations(
     return MinariDataset(path / "data")
 
 
-def _played(env: gymnasium.Env[Any, Any], number: int, scene: Scene, act: Act) -> EpisodeBuffer:
+def _played(
+    env: gymnasium.Env[Any, Any], number: int, scene: Scene, policy: Policy
+) -> EpisodeBuffer:
     """Play one demonstration; raise RuntimeError unless it succeeds."""
     from minari.data_collector import EpisodeBuffer
 
-    # Data sets keep plain values only.
-    options = {"scene": scene.to_json()}
-    observation, info = env.reset(options=options)
-    observations, infos = [observation], [info]
-    actions: list[NDArray[np.float32]] = []
-    rewards: list[float] = []
-    terminations: list[bool] = []
-    truncations: list[bool] = []
-    while not (terminations and (terminations[-1] or truncations[-1])):
-        reference = decode(observation, scene.task).robot.reference
-        action = act(len(actions), reference)
-        observation, reward, terminated, truncated, info = env.step(action)
-        observations.append(observation)
-        infos.append(info)
-        actions.append(action)
-        rewards.append(float(reward))
-        terminations.append(terminated)
-        truncations.append(truncated)
-    if not info["is_success"]:
-        raise RuntimeError(f"demonstration {number + 1} did not succeed: {info['failure']}")
+    moments: list[Moment] = []
+    played = rollout(env, policy, scene=scene, recorders=(moments.append,))
+    if not played.success:
+        raise RuntimeError(f"demonstration {number + 1} did not succeed: {played.info['failure']}")
+    steps = moments[1:]
     # None, which stands for no collision and for no seed, cannot be stored.
-    kept = [key for key, value in info.items() if isinstance(value, bool | float | str)]
+    kept = [key for key, value in played.info.items() if isinstance(value, bool | float | str)]
     return EpisodeBuffer(
         id=number,
-        options=options,
-        observations={key: np.stack([o[key] for o in observations]) for key in observation},
-        actions=np.stack(actions),
-        rewards=rewards,
-        terminations=terminations,
-        truncations=truncations,
-        infos={key: [i[key] for i in infos] for key in kept},
+        # Data sets keep plain values only.
+        options={"scene": scene.to_json()},
+        observations={
+            key: np.stack([moment.observation[key] for moment in moments]) for key in played.first
+        },
+        actions=np.stack([moment.action for moment in steps]),
+        rewards=[moment.reward for moment in steps],
+        terminations=[moment.terminated for moment in steps],
+        truncations=[moment.truncated for moment in steps],
+        infos={key: [moment.info[key] for moment in moments] for key in kept},
     )
 
 

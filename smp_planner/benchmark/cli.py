@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -16,7 +18,7 @@ from smp_planner.benchmark.options import split_names
 
 if TYPE_CHECKING:
     from smp_planner.benchmark.episodes import EpisodeRow
-    from smp_planner.benchmark.store import Manifest
+    from smp_planner.benchmark.manifest import Manifest
 
 __all__ = ["app"]
 
@@ -63,11 +65,11 @@ def _fail(message: str, code: int) -> typer.Exit:
 def list_command() -> None:
     """List the tasks, methods, difficulties and families that `run` knows."""
     from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, FAMILIES, TASKS
-    from smp_planner.planners import PLANNERS
+    from smp_planner.planners.registry import installed_methods, known_methods
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_row("[bold]tasks[/]", ", ".join(TASKS))
-    table.add_row("[bold]methods[/]", ", ".join(PLANNERS))
+    table.add_row("[bold]methods[/]", ", ".join((*known_methods(), *installed_methods())))
     table.add_row("[bold]difficulties[/]", ", ".join(DIFFICULTIES))
     table.add_row("[bold]families[/]", ", ".join(FAMILIES))
     table.add_row(
@@ -84,7 +86,11 @@ def run(
         str, typer.Option(metavar="NAMES", help="Names of tasks, separated by commas.")
     ] = "Placement",
     methods: Annotated[
-        str, typer.Option(metavar="NAMES", help="Names of methods, separated by commas.")
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Names of methods, separated by commas; name=module:Class is one of your own.",
+        ),
     ] = "smp,promp",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each task and method.")] = 20,
     seed: Annotated[
@@ -135,27 +141,19 @@ def run(
     Example: [green]smp-bench run --methods smp,promp --episodes 200 --seed 100000 --out
     results/medium[/green]
     """
-    from smp_planner.benchmark.runner import (
-        EpisodeFailedError,
-        WorkerDiedError,
-        available_cores,
-        make_manifest,
-    )
-    from smp_planner.benchmark.store import ResultsError
+    from smp_planner.benchmark.results_folder import ResultsError
+    from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError, available_cores
 
     first = seed if seed is not None else 0 if frozen else _FIRST_SEED
-    try:
-        manifest = make_manifest(
-            split_names(tasks),
-            split_names(methods),
-            difficulty,
-            first,
-            episodes,
-            frozen=frozen,
-            family=family,
-        )
-    except ValueError as error:
-        raise _fail(str(error), 2) from error
+    manifest = _manifest(
+        split_names(tasks),
+        split_names(methods),
+        difficulty,
+        first,
+        episodes,
+        frozen=frozen,
+        family=family,
+    )
     workers = jobs or available_cores()
     try:
         rows = _run_with_progress(manifest, out, workers, restart)
@@ -168,6 +166,18 @@ def run(
         raise _fail(message + "continues there", _INTERRUPTED) from error
     _finish(manifest, rows, out)
     _draw(manifest, out, workers, figure, video)
+
+
+def _manifest(*arguments: Any, **options: Any) -> Manifest:
+    """Return `make_manifest` of arguments; modules of one's own are looked for here, too."""
+    from smp_planner.benchmark.manifest import make_manifest
+
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    try:
+        return make_manifest(*arguments, **options)
+    except ValueError as error:
+        raise _fail(str(error), 2) from error
 
 
 def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) -> list[EpisodeRow]:
@@ -195,8 +205,8 @@ def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     from smp_gym.datasets.frozen import load_episodes
     from smp_gym.sampling import sample_of_family
     from smp_planner.benchmark.map_accuracy import measure_default_map
-    from smp_planner.benchmark.report import summarise, table
-    from smp_planner.benchmark.store import write_csv, write_json
+    from smp_planner.benchmark.results_folder import write_json
+    from smp_planner.benchmark.summary import summarise, table, write_csv
 
     count = min(manifest.episodes, _MAP_SCENES)
     if manifest.frozen:
@@ -224,9 +234,8 @@ def _draw(
     """Play the first episode of each task and method again and write its figure and video."""
     from smp_planner.benchmark.runner import draw as draw_episodes
 
-    keys = manifest.first_keys()
     with _console(error=True).status("drawing figures and videos"):
-        written = draw_episodes(keys, out, jobs=jobs, figure=figure, video=video)
+        written = draw_episodes(manifest, out, jobs=jobs, figure=figure, video=video)
     for path in written:
         _console().print(f"wrote {escape(str(path))}", soft_wrap=True)
 
@@ -237,8 +246,9 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Show the table of a folder of results again."""
-    from smp_planner.benchmark.report import summarise, table
-    from smp_planner.benchmark.store import ResultsError, read_results
+    from smp_planner.benchmark.manifest import read_results
+    from smp_planner.benchmark.results_folder import ResultsError
+    from smp_planner.benchmark.summary import summarise, table
 
     try:
         manifest, rows = read_results(folder)
@@ -259,7 +269,7 @@ def show(
 def draw(
     out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
-    method: Annotated[str, typer.Option(help="Name of the method.")] = "smp",
+    method: Annotated[str, typer.Option(help="Name of the method, or name=module:Class.")] = "smp",
     difficulty: _Difficulty = "medium",
     family: _Family = "obstacles",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 100_000,
@@ -270,10 +280,5 @@ def draw(
 
     Example: [green]smp-bench draw --method smp --seed 7 --out results/seven[/green]
     """
-    from smp_planner.benchmark.runner import make_manifest
-
-    try:
-        manifest = make_manifest((task,), (method,), difficulty, seed, 1, family=family)
-    except ValueError as error:
-        raise _fail(str(error), 2) from error
+    manifest = _manifest((task,), (method,), difficulty, seed, 1, family=family)
     _draw(manifest, out, 1, figure, video)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.observation import DecodedObservation, decode
 from smp_gym.registration import environment_id
+from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
 from smp_planner.planning.problem import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -25,11 +26,11 @@ __all__ = [
     "EpisodeKey",
     "EpisodePlayer",
     "EpisodeRow",
-    "Rollout",
+    "PlayMethods",
+    "PlayedEpisode",
     "environment_id",
     "kind_of_scene",
-    "play",
-    "roll_out",
+    "play_episode",
 ]
 
 WARM_UP_SEED = 0
@@ -42,7 +43,7 @@ class EpisodeKey:
 
     Attributes:
         task: name of the task, one of `smp_gym.scene.TASKS`.
-        method: name of the method, one of `smp_planner.planners.PLANNERS`.
+        method: name of the method.
         difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         seed: with which the environment is reset; equal seeds are equal scenes for every method.
         half: of the frozen list that the episode is from, one of
@@ -141,23 +142,20 @@ class EpisodePlayer(Protocol):
 
 
 @dataclass(frozen=True)
-class Rollout:
-    """One played episode.
+class PlayedEpisode:
+    """An episode that was played.
 
     Attributes:
         row: what the store keeps.
         scene: as the first observation tells it.
         plan: the particles.
         object_path: (steps + 1, 3) m, positions of the object's centre.
-        frames: rendered images (H, W, 3) uint8, one per step and one of the start; empty unless
-            the environment renders.
     """
 
     row: EpisodeRow
     scene: Scene
     plan: Plan
     object_path: NDArray[np.float64]
-    frames: tuple[NDArray[np.uint8], ...]
 
 
 def kind_of_scene(difficulty: str, family: str) -> str:
@@ -193,82 +191,94 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _reset_arguments(key: EpisodeKey) -> dict[str, Any]:
+def _scene_of(key: EpisodeKey) -> Scene | None:
+    """Return the stored scene of an episode of a frozen list."""
     if not key.half:
-        return {"seed": key.seed}
+        return None
     for episode in load_episodes(key.task, key.difficulty):
         if (episode.half, episode.seed) == (key.half, key.seed):
-            return {"options": {"scene": episode.scene}}
+            return episode.scene
     raise ValueError(f"no frozen list holds the episode {key}")
 
 
-def roll_out(key: EpisodeKey, env: gym.Env[Any, Any], policy: PlannerPolicy) -> Rollout:
+def play_episode(
+    key: EpisodeKey,
+    env: gym.Env[Any, Any],
+    policy: PlannerPolicy,
+    recorders: Sequence[Recorder] = (),
+) -> PlayedEpisode:
     """Play one episode to its end with the best particle of each plan.
 
     Args:
         key: names the episode.
-        env: an environment of the key's task, difficulty and family; renders if made to.
+        env: an environment of the key's task, difficulty and family.
         policy: acts.
+        recorders: see `smp_gym.rollout.rollout`.
     """
-    rendering = env.render_mode == "rgb_array"
-    frames: list[Any] = []
+    hand = FieldRecorder("end_effector_position")
+    carried = FieldRecorder("object_position")
     began = time.perf_counter()
-    observation, info = env.reset(**_reset_arguments(key))
-    first = decoded = decode(observation, key.task)
-    hand, carried = [decoded.robot.end_effector_position], [decoded.object.position]
-    state = None
-    steps, over = 0, False
-    while not over:
-        if rendering:
-            frames.append(env.render())
-        action, state = policy.predict(observation, state, deterministic=True)
-        observation, _, terminated, truncated, info = env.step(action)
-        decoded = decode(observation, key.task)
-        hand.append(decoded.robot.end_effector_position)
-        carried.append(decoded.object.position)
-        steps += 1
-        over = terminated or truncated
-    if rendering:
-        frames.append(env.render())
+    scene = _scene_of(key)
+    played = rollout(
+        env,
+        policy,
+        seed=key.seed if scene is None else None,
+        scene=scene,
+        recorders=(hand, carried, *recorders),
+    )
     elapsed = time.perf_counter() - began
-    if state is None:
-        raise RuntimeError(f"the policy of {key} returned no state")
-    plan = state[0].plan
-    success = bool(info["is_success"])
+    plan = played.state[0].plan
     row = EpisodeRow(
         task=key.task,
         method=key.method,
         difficulty=key.difficulty,
         seed=key.seed,
-        success=success,
-        collision=bool(info["collided"]),
-        cause=info["failure"],
-        contact=" – ".join(info["collision"] or ()),
-        goal_error=_goal_error(decoded),
-        path_length=float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()),
-        clearance=float(info["clearance"]),
-        steps=steps,
+        success=played.success,
+        collision=bool(played.info["collided"]),
+        cause=played.info["failure"],
+        contact=" – ".join(played.info["collision"] or ()),
+        goal_error=_goal_error(decode(played.last, key.task)),
+        path_length=float(np.linalg.norm(np.diff(hand.values, axis=0), axis=1).sum()),
+        clearance=float(played.info["clearance"]),
+        steps=played.steps,
         half=key.half,
         family=key.family,
         episode_time=elapsed,
         **_of_plan(plan),
     )
-    return Rollout(row, first.scene, plan, np.array(carried), tuple(frames))
+    return PlayedEpisode(row, decode(played.first, key.task).scene, plan, carried.values)
 
 
 @lru_cache(maxsize=16)
 def _ready(
-    task: str, method: str, difficulty: str, family: str
+    task: str, spec: str, difficulty: str, family: str
 ) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
     """Return environment and policy of this process, after one unrecorded plan."""
     env = gym.make(environment_id(task), difficulty=difficulty, family=family)
-    policy = PlannerPolicy.make(method, task)
+    policy = PlannerPolicy.make(spec, task)
     observation, _ = env.reset(seed=WARM_UP_SEED)
     policy.predict(observation, deterministic=True)
     return env, policy
 
 
-def play(key: EpisodeKey) -> EpisodeRow:
-    """Play one episode and return its row; environment and policy are made once per process."""
-    env, policy = _ready(key.task, key.method, key.difficulty, key.family)
-    return roll_out(key, env, policy).row
+@dataclass(frozen=True)
+class PlayMethods:
+    """Plays episodes of methods; environment and policy are made once per process.
+
+    Attributes:
+        specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
+    """
+
+    specs: Mapping[str, str] = field(default_factory=dict)
+
+    def policy(self, key: EpisodeKey) -> PlannerPolicy:
+        """Return a new policy of the method of an episode."""
+        return PlannerPolicy.make(self._spec(key), key.task)
+
+    def _spec(self, key: EpisodeKey) -> str:
+        return self.specs.get(key.method, key.method)
+
+    def __call__(self, key: EpisodeKey) -> EpisodeRow:
+        """Play one episode and return its row."""
+        env, policy = _ready(key.task, self._spec(key), key.difficulty, key.family)
+        return play_episode(key, env, policy).row

@@ -10,21 +10,19 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from smp_gym.datasets.frozen import load_episodes
-from smp_gym.scene import DIFFICULTIES, FAMILIES, FURNISHED_TASKS, TASKS
-from smp_planner.benchmark.episodes import EpisodeKey, EpisodePlayer, EpisodeRow, play
-from smp_planner.benchmark.store import EpisodeStore, Manifest, code_digest, versions
-from smp_planner.planners import PLANNERS
+from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow, PlayMethods
+from smp_planner.benchmark.manifest import EpisodeStore, Manifest
+from smp_planner.benchmark.results_folder import ResultsFolder
 
 __all__ = [
     "EpisodeFailedError",
     "WorkerDiedError",
     "available_cores",
     "draw",
-    "make_manifest",
     "play_all",
+    "play_missing",
     "run",
 ]
 
@@ -47,65 +45,6 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def make_manifest(
-    tasks: Sequence[str],
-    methods: Sequence[str],
-    difficulty: str,
-    seed: int,
-    episodes: int,
-    *,
-    frozen: bool = False,
-    family: str = FAMILIES[0],
-) -> Manifest:
-    """Return the manifest of a run with the versions that are installed.
-
-    With `frozen` the episodes are the first ones of the frozen lists, and `seed` must be 0. A
-    `family` of furniture needs tasks that have it, and is in no frozen list.
-
-    Raises:
-        ValueError: a name that does not exist or is given twice, or a number out of range; the
-            message names the value and what exists.
-    """
-    for kind, names, known in (("task", tasks, TASKS), ("method", methods, tuple(PLANNERS))):
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise ValueError(f"unknown {kind} {unknown[0]!r}; there are: {', '.join(known)}")
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"name each {kind} once and at least one, got {', '.join(names)!r}")
-    if difficulty not in DIFFICULTIES:
-        raise ValueError(f"unknown difficulty {difficulty!r}; there are: {', '.join(DIFFICULTIES)}")
-    if family not in FAMILIES:
-        raise ValueError(f"unknown family {family!r}; there are: {', '.join(FAMILIES)}")
-    if family != FAMILIES[0]:
-        bare = [task for task in tasks if task not in FURNISHED_TASKS]
-        if bare or frozen:
-            raise ValueError(
-                f"family {family!r} needs tasks out of {', '.join(FURNISHED_TASKS)} and is not "
-                f"frozen, got {bare[0] if bare else 'frozen'}"
-            )
-    if episodes < 1:
-        raise ValueError(f"episodes must be at least 1, got {episodes}")
-    if seed < 0:
-        raise ValueError(f"seed must not be negative, got {seed}")
-    if frozen:
-        if seed:
-            raise ValueError(f"frozen lists have seeds of their own: seed must be 0, got {seed}")
-        least = min(len(load_episodes(task, difficulty)) for task in tasks)
-        if episodes > least:
-            raise ValueError(f"the frozen lists hold {least} episodes, got episodes {episodes}")
-    return Manifest(
-        tuple(tasks),
-        tuple(methods),
-        difficulty,
-        seed,
-        episodes,
-        versions(),
-        code_digest(),
-        frozen,
-        family,
-    )
 
 
 def _prepare_worker() -> None:
@@ -197,26 +136,77 @@ def play_all(
             raise
 
 
+def play_missing(
+    store: ResultsFolder[Any],
+    keys: Sequence[Key],
+    player: Callable[[Key], Any],
+    *,
+    jobs: int = 1,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Play what a folder does not hold yet, and store each row as it comes.
+
+    An exception, `KeyboardInterrupt` included, leaves a folder that the same call continues.
+
+    Args:
+        store: the folder.
+        keys: all that it shall hold, in the order in which it is played.
+        player: returns the row of a key; importable by name, for it runs in other processes.
+        jobs: number of worker processes.
+        on_progress: called with the number of keys that are done and of all.
+
+    Raises:
+        WorkerDiedError: a worker process was killed.
+        EpisodeFailedError: the player raised an exception.
+        ValueError: `jobs` is below 1.
+    """
+    _check_jobs(jobs)
+    missing = store.missing(keys)
+    done = len(keys) - len(missing)
+    on_progress(done, len(keys))
+
+    def keep(row: Any) -> None:
+        nonlocal done
+        store.append(row)
+        done += 1
+        on_progress(done, len(keys))
+
+    try:
+        if missing:
+            play_all(missing, player, min(jobs, len(missing)), keep)
+    except BrokenProcessPool as error:
+        raise WorkerDiedError(
+            f"a worker process died (killed, or out of memory) after {done} of {len(keys)}, which "
+            f"are kept in {str(store.folder)!r}: the same command continues there, with fewer "
+            "--jobs if memory is short"
+        ) from error
+
+
+def _check_jobs(jobs: int) -> None:
+    """Raise ValueError unless there is a worker at least."""
+    if jobs < 1:
+        raise ValueError(f"jobs must be at least 1, got {jobs}")
+
+
 def run(
     manifest: Manifest,
     folder: Path,
     *,
     jobs: int = 1,
     restart: bool = False,
-    player: EpisodePlayer = play,
+    player: EpisodePlayer | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[EpisodeRow]:
     """Play all episodes that `folder` does not hold yet, and return all rows, sorted.
 
-    Rows do not depend on `jobs`, times excepted. An exception, `KeyboardInterrupt` included, leaves
-    a folder that the same call continues.
+    Rows do not depend on `jobs`, times excepted; see `play_missing`.
 
     Args:
         manifest: what to play, from `make_manifest`.
         folder: of the results.
         jobs: number of worker processes.
         restart: drop the rows of a folder that was made for something else, instead of refusing.
-        player: what plays an episode; importable by name, for it runs in other processes.
+        player: what plays an episode, in place of the manifest's methods.
         on_progress: called with the number of episodes that are done and of all.
 
     Raises:
@@ -225,42 +215,25 @@ def run(
         EpisodeFailedError: an episode raised an exception.
         ValueError: `jobs` is below 1.
     """
-    if jobs < 1:
-        raise ValueError(f"jobs must be at least 1, got {jobs}")
-    keys = manifest.episode_keys()
+    _check_jobs(jobs)
     with EpisodeStore(folder, manifest, restart=restart) as store:
-        missing = store.missing(keys)
-        on_progress(len(keys) - len(missing), len(keys))
-
-        def keep(row: EpisodeRow) -> None:
-            store.append(row)
-            on_progress(len(keys) - len(store.missing(keys)), len(keys))
-
-        try:
-            if missing:
-                play_all(missing, player, min(jobs, len(missing)), keep)
-        except BrokenProcessPool as error:
-            raise WorkerDiedError(
-                f"a worker process died (killed, or out of memory) after "
-                f"{len(keys) - len(store.missing(keys))} of {len(keys)} episodes, which are kept "
-                f"in {str(folder)!r}: the same command continues there, with fewer --jobs if "
-                "memory is short"
-            ) from error
+        play_missing(
+            store,
+            manifest.episode_keys(),
+            player or PlayMethods(manifest.specs),
+            jobs=jobs,
+            on_progress=on_progress,
+        )
         return sorted(store.rows, key=lambda row: row.key)
 
 
 def draw(
-    keys: Sequence[EpisodeKey],
-    folder: Path,
-    *,
-    jobs: int = 1,
-    figure: bool = True,
-    video: bool = True,
+    manifest: Manifest, folder: Path, *, jobs: int = 1, figure: bool = True, video: bool = True
 ) -> list[Path]:
-    """Play episodes again, as the workers of `run` do, and write their figures and videos.
+    """Play the first episode of each task and method again, and write their figures and videos.
 
     Args:
-        keys: names of the episodes.
+        manifest: of the run.
         folder: of the files; made if there is none.
         jobs: number of worker processes.
         figure: whether to write figures.
@@ -269,11 +242,13 @@ def draw(
     Returns:
         The files that were written.
     """
-    from smp_planner.benchmark.figures import draw_episode
+    from smp_planner.benchmark.episode_pictures import draw_episode
 
     folder.mkdir(parents=True, exist_ok=True)
-    if not keys or not (figure or video):
+    keys = manifest.first_keys()
+    if not (figure or video):
         return []
+    player = PlayMethods(manifest.specs)
     with _workers(min(jobs, len(keys))) as pool:
-        futures = [pool.submit(draw_episode, key, folder, figure, video) for key in keys]
+        futures = [pool.submit(draw_episode, player, key, folder, figure, video) for key in keys]
         return [path for future in futures for path in future.result()]

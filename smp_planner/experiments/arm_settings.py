@@ -23,6 +23,7 @@ from smp_planner.benchmark.metrics import compare, resample
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.experiments.paths import diversity
 from smp_planner.experiments.tables import Column, Row
+from smp_planner.planners import make_planner
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -109,7 +110,7 @@ def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
 @lru_cache(maxsize=64)
 def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
     own: dict[str, Any] = dict(VARIANTS[variant]) | {"retries": 0}
-    usual = PlannerPolicy.make("smp", task).planner.settings.smooth_std
+    usual = make_planner("smp", task).settings.smooth_std
     own["smooth_std"] = usual * PRIORS[prior]
     if method == "promp":
         own = {"smooth_std": own["smooth_std"], "particles": _REFERENCE_SIZE}

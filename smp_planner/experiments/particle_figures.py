@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -19,21 +19,23 @@ from numpy.typing import NDArray
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
+from smp_gym.rollout import FrameRecorder, rollout
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import PAD_DEPTH, Goal, ManipulatedObject, Obstacle, Scene
 from smp_gym.tasks.double_sided_placement.rules import NOMINAL_PADS, START_CONFIGURATION
-from smp_planner.benchmark.episodes import environment_id
-from smp_planner.benchmark.figures import (
+from smp_planner.benchmark.episode_pictures import (
     Way,
     carried_point,
     object_paths,
     paint_scene,
     write_video,
 )
+from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.metrics import rms_distances
 from smp_planner.planners.judging import REACHED
 from smp_planner.planning.problem import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.policy.tracking import Track
 
 __all__ = [
     "TwoModes",
@@ -42,11 +44,9 @@ __all__ = [
     "draw_two_sides",
     "find_two_modes",
     "modulated_scene",
-    "play_particle",
 ]
 
 FloatArray = NDArray[np.float64]
-Frames = list[NDArray[np.uint8]]
 
 FRAME_SIZE = (640, 480)
 """Width and height of the pictures of an episode, pixels."""
@@ -80,36 +80,7 @@ def _plan(policy: PlannerPolicy, env: gym.Env[Any, Any], scene: Scene) -> Plan:
     """Return the plan for a scene, on one thread."""
     torch.set_num_threads(1)
     observation, _ = env.reset(options={"scene": scene})
-    (plan,) = policy.planner.plan([policy.problem(observation)])
-    return plan
-
-
-def play_particle(
-    env: gym.Env[Any, Any], scene: Scene, policy: PlannerPolicy, plan: Plan, particle: int
-) -> tuple[bool, Frames]:
-    """Execute one particle of a plan; return whether it succeeded, and a picture of each step.
-
-    Args:
-        env: of the scene's task; without a render mode there are no pictures.
-        scene: that was planned for.
-        policy: that planned.
-        plan: of all particles.
-        particle: index of the one to execute.
-    """
-    observation, info = env.reset(options={"scene": scene})
-    track = policy.track(plan, particle)
-    frames: Frames = []
-    step, over = 0, False
-    while not over:
-        if env.render_mode is not None:
-            frames.append(env.render())  # type: ignore[arg-type]
-        reference = np.asarray(observation["observation"][6:12], np.float64)
-        observation, _, terminated, truncated, info = env.step(track.action(step, reference))
-        step += 1
-        over = terminated or truncated
-    if env.render_mode is not None:
-        frames.append(env.render())  # type: ignore[arg-type]
-    return bool(info["is_success"]), frames
+    return policy.plan(observation)
 
 
 def _successful(plan: Plan) -> NDArray[np.bool_]:
@@ -226,7 +197,7 @@ def find_two_modes(task: str, seeds: range, difficulty: str = "easy") -> TwoMode
         found += _over_and_beside(scene, _plan(policy, env, scene))
     for pair in sorted(found, key=lambda pair: -pair.distance):
         executed = (
-            play_particle(env, pair.scene, policy, pair.plan, particle)[0]
+            rollout(env, policy.track(pair.plan, particle), scene=pair.scene).success
             for particle in (pair.over, pair.beside)
         )
         if all(executed):
@@ -236,12 +207,35 @@ def find_two_modes(task: str, seeds: range, difficulty: str = "easy") -> TwoMode
     raise RuntimeError(f"{task}: no scene of {seeds} is passed over and beside an obstacle")
 
 
-def _stills(axes: Any, frames: Frames) -> None:
-    """Show some pictures of an episode, from its first to its last."""
-    chosen = np.linspace(0, len(frames) - 1, _STILLS).round().astype(int)
-    for cell, index in zip(axes, chosen, strict=True):
+def _filming(scene: Scene, camera: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """Return an environment of a scene's task that renders."""
+    width, height = FRAME_SIZE
+    return gym.make(
+        environment_id(scene.task),
+        render_mode="rgb_array",
+        width=width,
+        height=height,
+        camera=camera,
+    )
+
+
+def _film(
+    env: gym.Env[Any, Any], scene: Scene, track: Track, video: Path, cells: Sequence[Any]
+) -> bool:
+    """Execute a trajectory, write a video, and show some pictures, from the first to the last.
+
+    Returns:
+        Whether it succeeded.
+    """
+    recorder = FrameRecorder()
+    played = rollout(env, track, scene=scene, recorders=(recorder,))
+    frames = recorder.frames
+    write_video(frames, video)
+    chosen = np.linspace(0, len(frames) - 1, len(cells)).round().astype(int)
+    for cell, index in zip(cells, chosen, strict=True):
         cell.imshow(frames[index])
         cell.set_axis_off()
+    return played.success
 
 
 def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> tuple[bool, bool]:
@@ -257,14 +251,7 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
     """
     figure = Figure(figsize=(19.5, 5.9), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
-    width, height = FRAME_SIZE
-    env = gym.make(
-        environment_id(pair.scene.task),
-        render_mode="rgb_array",
-        width=width,
-        height=height,
-        camera=_FAR_CAMERA,
-    )
+    env = _filming(pair.scene, _FAR_CAMERA)
     policy = PlannerPolicy.make("smp", pair.scene.task)
     done = []
     axes = figure.add_axes((0.0, 0.02, 0.245, 0.9))
@@ -275,15 +262,12 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
     paint_scene(axes, pair.scene, ways)
     rows = (("over", pair.over, videos[0]), ("beside", pair.beside, videos[1]))
     for row, (name, particle, video) in enumerate(rows):
-        success, frames = play_particle(env, pair.scene, policy, pair.plan, particle)
-        done.append(success)
-        write_video(frames, video)
         size = 0.75 / _STILLS
         cells = [
             figure.add_axes((0.25 + k * size, 0.49 - 0.47 * row, size - 0.003, 0.44))
             for k in range(_STILLS)
         ]
-        _stills(cells, frames)
+        done.append(_film(env, pair.scene, policy.track(pair.plan, particle), video, cells))
         figure.text(0.252, 0.94 - 0.47 * row, name, fontsize=13, weight="bold", color=_MODES[row])
     env.close()
     figure.text(0.01, 0.945, _TITLES[pair.scene.task], fontsize=15, weight="bold")
@@ -336,14 +320,7 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
         RuntimeError: no good particle on one of the sides.
     """
     scene = modulated_scene()
-    width, height = FRAME_SIZE
-    env = gym.make(
-        environment_id(scene.task),
-        render_mode="rgb_array",
-        width=width,
-        height=height,
-        camera=_FRONT_CAMERA,
-    )
+    env = _filming(scene, _FRONT_CAMERA)
     policy = PlannerPolicy.make("smp", scene.task, seed=seed)
     plan = _plan(policy, env, scene)
     assert plan.signatures is not None
@@ -362,14 +339,11 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
         if len(candidates) == 0:
             raise RuntimeError(f"no good particle goes to the {name} pad")
         best.append(int(candidates[plan.ranks[candidates].argmin()]))
-        success, frames = play_particle(env, scene, policy, plan, best[side])
-        done.append(success)
-        write_video(frames, videos[side])
         cells = [
             figure.add_axes((0.005 + 0.2 * k, 0.235 - 0.225 * side, 0.19, 0.205))
             for k in range(_STILLS)
         ]
-        _stills(cells, frames)
+        done.append(_film(env, scene, policy.track(plan, best[side]), videos[side], cells))
         figure.text(
             0.008, 0.443 - 0.225 * side, name, fontsize=13, weight="bold", color=_MODES[side]
         )

@@ -247,11 +247,6 @@ class Plan:
 class Planner(Protocol):
     """Anything that answers problems with plans; batched over problems."""
 
-    @property
-    def name(self) -> str:
-        """Name of the method, as the command line knows it."""
-        ...
-
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""
         ...

@@ -8,7 +8,7 @@ of the world it reads from the observation, so it runs wherever an agent runs: b
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space
-from smp_planner.planners import PlannerModel, make_planner
-from smp_planner.planning.problem import Plan, Problem
+from smp_planner.planners.registry import Method, resolve
+from smp_planner.planning.problem import Plan, Planner, Problem
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
-from smp_planner.policy.policy_file import read_policy, write_policy
+from smp_planner.policy.policy_file import SavedPolicy, read_policy, write_policy
 from smp_planner.policy.tracking import GripperEvent, Track, gripper_event
 
 __all__ = ["Execution", "PlannerPolicy"]
@@ -55,21 +55,25 @@ class PlannerPolicy:
     something else (``control="end_effector"``) are refused.
 
     Args:
-        planner: what plans; made by `smp_planner.planners.make_planner`.
+        planner: what plans.
+        demonstrations: of the task; they teach when the hand opens or closes and, where an object
+            is grasped or a stroke drawn, how.
         seed: from which, together with an episode's first observation, all randomness is drawn.
             Neither the order of calls nor what was played before matters.
     """
 
-    def __init__(self, planner: PlannerModel, seed: int = 0) -> None:
+    def __init__(self, planner: Planner, demonstrations: Demonstrations, seed: int = 0) -> None:
         self.planner = planner
-        self.task = planner.demonstrations.task
+        self.demonstrations = demonstrations
+        self.task = demonstrations.task
         self.observation_space: spaces.Dict = observation_space(self.task)
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
-        self._event: GripperEvent | None = gripper_event(planner.demonstrations.gripper)
-        self._grasping = learn_grasping(planner.demonstrations)
-        drawing = planner.demonstrations.scenes[0].goals[0].kind == "stroke"
-        self._phases = checkpoint_phases(planner.demonstrations) if drawing else None
+        self._event: GripperEvent | None = gripper_event(demonstrations.gripper)
+        self._grasping = learn_grasping(demonstrations)
+        drawing = demonstrations.scenes[0].goals[0].kind == "stroke"
+        self._phases = checkpoint_phases(demonstrations) if drawing else None
         self.set_random_seed(seed)
+        self._made_by: tuple[str, Mapping[str, Any]] | None = None
 
     @classmethod
     def make(
@@ -84,7 +88,8 @@ class PlannerPolicy:
         """Return a policy by the name of its method.
 
         Args:
-            method: one of `smp_planner.planners.PLANNERS`.
+            method: name of a method, or ``name=module:Class``; see
+                `smp_planner.planners.registry.resolve`.
             task: whose shipped demonstrations to learn from; or give `demonstrations`.
             demonstrations: what to learn from, in place of the shipped ones.
             settings: settings of the method by name.
@@ -93,8 +98,23 @@ class PlannerPolicy:
         Raises:
             ValueError: unknown method, task or setting; the message lists what exists.
         """
-        planner = make_planner(method, task, demonstrations=demonstrations, settings=settings)
-        return cls(planner, seed)
+        if demonstrations is None:
+            if task is None:
+                raise ValueError("task or demonstrations must be given, got neither")
+            demonstrations = Demonstrations.load(task)
+        return cls._of(resolve(method), demonstrations, settings or {}, seed)
+
+    @classmethod
+    def _of(
+        cls,
+        method: Method,
+        demonstrations: Demonstrations,
+        settings: Mapping[str, Any],
+        seed: int,
+    ) -> PlannerPolicy:
+        policy = cls(method.make(demonstrations, settings), demonstrations, seed)
+        policy._made_by = method.spec, method.settings(demonstrations.task, settings)
+        return policy
 
     def set_random_seed(self, seed: int | None = None) -> None:
         """Set the policy's seed; None means 0."""
@@ -173,6 +193,11 @@ class PlannerPolicy:
             raise ValueError(f"observation must be one, got a batch of {len(rows)}")
         return self._problem(self._decoded(rows[0]), self._digest(rows[0]))
 
+    def plan(self, observation: Mapping[str, NDArray[Any]] | NDArray[Any]) -> Plan:
+        """Return the plan for one observation, as `predict` makes it; see `problem`."""
+        (plan,) = self.planner.plan([self.problem(observation)])
+        return plan
+
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
         return problem_from(decoded, digest, self._phases, grasping=self._grasping)
 
@@ -231,15 +256,39 @@ class PlannerPolicy:
         return Execution(plan, particle, track, problem.seed)
 
     def save(self, path: str | Path) -> None:
-        """Write method, settings, demonstrations and seed to one file, without pickle."""
-        write_policy(Path(path), self.planner, self.seed)
-
-    @classmethod
-    def load(cls, path: str | Path) -> PlannerPolicy:
-        """Read what `save` wrote; runs no code from the file.
+        """Write method, settings, demonstrations and seed to one file, without pickle.
 
         Raises:
-            ValueError: the file is damaged, not a policy, or of another version.
+            ValueError: the policy was given its planner, of which no method is known.
         """
-        planner, seed = read_policy(Path(path))
-        return cls(planner, seed)
+        if self._made_by is None:
+            raise ValueError(
+                "a policy that was given its planner cannot be saved: make it with "
+                "PlannerPolicy.make(method, …)"
+            )
+        write_policy(Path(path), SavedPolicy(*self._made_by, self.seed, self.demonstrations))
+
+    @classmethod
+    def load(cls, path: str | Path, factory: Callable[..., Planner] | None = None) -> PlannerPolicy:
+        """Read what `save` wrote; runs no code from the file, nor any that the file names.
+
+        Args:
+            path: of the file.
+            factory: what makes the planner, where the method was given as ``name=module:Class``:
+                that class.
+
+        Raises:
+            ValueError: the file is damaged, not a policy, or of another version, its method is
+                unknown here, or one's own and `factory` is not given.
+        """
+        saved = read_policy(Path(path))
+        if factory is not None:
+            method = Method(saved.method.partition("=")[0], saved.method, factory)
+        elif "=" in saved.method:
+            raise ValueError(
+                f"{path} is a policy of the method {saved.method!r}, whose code a file must not "
+                "run: import the class and give it, PlannerPolicy.load(path, factory=Class)"
+            )
+        else:
+            method = resolve(saved.method)
+        return cls._of(method, saved.demonstrations, saved.settings, saved.seed)

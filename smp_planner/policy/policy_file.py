@@ -1,7 +1,7 @@
 """The file format of a saved policy: a zip of a JSON header and the demonstrations; runs no code.
 
 The header names format, version, method, settings and seed; the demonstrations follow as the file
-that `Demonstrations.save` writes. The primitive is fitted again on loading, which takes
+that `Demonstrations.save` writes. The planner learns from them again on loading, which takes
 milliseconds and keeps file and code from drifting apart.
 """
 
@@ -11,12 +11,14 @@ import json
 import os
 import tempfile
 import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_planner.planners import PlannerModel, make_planner
 
-__all__ = ["FORMAT", "VERSION", "read_policy", "write_policy"]
+__all__ = ["FORMAT", "VERSION", "SavedPolicy", "read_policy", "write_policy"]
 
 FORMAT = "smp_planner.policy.planner_policy"
 VERSION = 1
@@ -25,18 +27,35 @@ _HEADER = "policy.json"
 _DEMONSTRATIONS = "demonstrations.npz"
 
 
-def write_policy(path: Path, planner: PlannerModel, seed: int) -> None:
+@dataclass(frozen=True)
+class SavedPolicy:
+    """What makes a policy again.
+
+    Attributes:
+        method: spec of its method; see `smp_planner.planners.registry.resolve`.
+        settings: of the method by name.
+        seed: of the policy.
+        demonstrations: that its planner learned from.
+    """
+
+    method: str
+    settings: Mapping[str, Any]
+    seed: int
+    demonstrations: Demonstrations
+
+
+def write_policy(path: Path, policy: SavedPolicy) -> None:
     """Write a policy; an existing file is replaced only once the new one is complete."""
     header = {
         "format": FORMAT,
         "version": VERSION,
-        "method": planner.name,
-        "settings": planner.settings.model_dump(mode="json"),
-        "seed": seed,
+        "method": policy.method,
+        "settings": dict(policy.settings),
+        "seed": policy.seed,
     }
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         learned_from = Path(folder) / _DEMONSTRATIONS
-        planner.demonstrations.save(learned_from)
+        policy.demonstrations.save(learned_from)
         complete = Path(folder) / "policy.zip"
         with zipfile.ZipFile(complete, "w") as archive:
             archive.writestr(_HEADER, json.dumps(header, indent=1))
@@ -44,8 +63,8 @@ def write_policy(path: Path, planner: PlannerModel, seed: int) -> None:
         os.replace(complete, path)
 
 
-def read_policy(path: Path) -> tuple[PlannerModel, int]:
-    """Return planner and seed of a saved policy.
+def read_policy(path: Path) -> SavedPolicy:
+    """Return what a file holds of a policy.
 
     Raises:
         FileNotFoundError: no such file.
@@ -61,7 +80,4 @@ def read_policy(path: Path) -> tuple[PlannerModel, int]:
     found = {name: header.get(name) for name in expected} if isinstance(header, dict) else header
     if found != expected:
         raise ValueError(f"{path} must be a saved policy {expected}, got {found}")
-    planner = make_planner(
-        header["method"], demonstrations=demonstrations, settings=header["settings"]
-    )
-    return planner, int(header["seed"])
+    return SavedPolicy(header["method"], header["settings"], int(header["seed"]), demonstrations)

@@ -9,12 +9,13 @@ caught up by the next.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.observation import CONTROL_PERIOD
-from smp_gym.robot.kinematics import JOINT_VELOCITY
+from smp_gym.control import reference_action
+from smp_gym.observation import CONTROL_PERIOD, state_field
 
 __all__ = ["CLOSING_STEPS", "SETTLING_STEPS", "GripperEvent", "Track", "gripper_event"]
 
@@ -93,8 +94,25 @@ class Track:
         """
         elapsed = step - self.first_step
         target = self.reference(self._time(elapsed + 1))
-        velocity = (target - reference) / (CONTROL_PERIOD * JOINT_VELOCITY)
-        return np.append(np.clip(velocity, -1.0, 1.0), self._gripper(elapsed)).astype(np.float32)
+        return reference_action(target, reference, self._gripper(elapsed))
+
+    def predict(
+        self,
+        observation: Any,
+        state: int | None = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], int]:
+        """Act as a policy of `smp_gym.rollout.rollout` does: return the action (7,) and a state.
+
+        Args:
+            observation: of an environment that takes joint velocities, as dict.
+            state: what the last call returned: environment steps since the episode began.
+            episode_start: accepted for the interface, unused.
+            deterministic: accepted for the interface, unused.
+        """
+        step = self.first_step if state is None else state
+        return self.action(step, state_field(observation, "reference")), step + 1
 
     def _time(self, elapsed: int) -> float:
         """Return the time of the trajectory, s, that is due after so many control steps."""

@@ -47,7 +47,7 @@ def played():
 
 @pytest.fixture
 def as_played(exported, played, monkeypatch):
-    monkeypatch.setattr(minari_export, "_played", lambda env, number, scene, act: played[number])
+    monkeypatch.setattr(minari_export, "_played", lambda env, number, scene, policy: played[number])
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def exported(script, shipped, played, tmp_path_factory):
     root = tmp_path_factory.mktemp("datasets")
     play = minari_export._played
 
-    def remembered(env, number, scene, act):
-        played[number] = play(env, number, scene, act)
+    def remembered(env, number, scene, policy):
+        played[number] = play(env, number, scene, policy)
         return played[number]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -65,7 +65,7 @@ def exported(script, shipped, played, tmp_path_factory):
         patch.setattr(minari_export, "_played", remembered)
         done = []
         export_demonstrations(
-            shipped, script.acts(shipped), difficulty="hard", finished=done.append
+            shipped, script.tracks(shipped), difficulty="hard", finished=done.append
         )
         assert done == list(range(len(shipped)))
     return root
@@ -95,11 +95,13 @@ def two(demonstrations):
     )
 
 
-def dive(step, reference):
-    """Drive into the table."""
-    action = np.zeros(7, np.float32)
-    action[1] = 1.0
-    return action
+class Dive:
+    """Drives into the table."""
+
+    def predict(self, observation, state, episode_start, deterministic):
+        action = np.zeros(7, np.float32)
+        action[1] = 1.0
+        return action, None
 
 
 def contents(folder):
@@ -166,12 +168,15 @@ def test_an_episode_that_fails_is_refused_and_nothing_changes(copied, script, sh
     root = copied.parents[3]
     before = contents(root)
     some = two(shipped)
-    good, _ = script.acts(some)
-    for acts, named in (([dive, good], "1 did not succeed: coll"), ([good, dive], "2 did not")):
+    good, _ = script.tracks(some)
+    for policies, named in (
+        ([Dive(), good], "1 did not succeed: coll"),
+        ([good, Dive()], "2 did not"),
+    ):
         with pytest.raises(RuntimeError, match=named):
-            export_demonstrations(some, acts, overwrite=True)
+            export_demonstrations(some, policies, overwrite=True)
         with pytest.raises(RuntimeError, match=named):
-            export_demonstrations(some, acts, "other/new-v0")
+            export_demonstrations(some, policies, "other/new-v0")
     assert contents(root) == before
     assert sorted(p.name for p in root.iterdir()) == ["smp_gym"]
 
@@ -183,7 +188,7 @@ def test_an_export_that_breaks_off_while_writing_leaves_nothing(
     monkeypatch.setattr(minari_export, "AUTHOR", {})
     some = two(shipped)
     with pytest.raises(TypeError):
-        export_demonstrations(some, script.acts(some))
+        export_demonstrations(some, script.tracks(some))
     assert not list(tmp_path.iterdir())
 
 
@@ -227,10 +232,10 @@ def test_the_script_names_what_is_wrong(script, tmp_path, monkeypatch, capsys, a
     assert not list(tmp_path.iterdir())
 
 
-def test_every_demonstration_needs_its_act(script, shipped, tmp_path, monkeypatch):
+def test_every_demonstration_needs_its_policy(script, shipped, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     with pytest.raises(ValueError, match="each of 7 demonstrations, got 2"):
-        export_demonstrations(shipped, script.acts(two(shipped)))
+        export_demonstrations(shipped, script.tracks(two(shipped)))
 
 
 def test_a_missing_dataset_is_a_clear_error(copied):

@@ -22,13 +22,14 @@ from smp_gym.datasets.frozen import load_episodes
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
-from smp_planner.benchmark.report import mean_interval, rate_interval, summarise, table
-from smp_planner.benchmark.store import (
+from smp_planner.benchmark.manifest import EpisodeStore, Manifest, make_manifest, read_results
+from smp_planner.benchmark.results_folder import ResultsError
+from smp_planner.benchmark.summary import (
     COLUMNS,
-    EpisodeStore,
-    Manifest,
-    ResultsError,
-    read_results,
+    mean_interval,
+    rate_interval,
+    summarise,
+    table,
     write_csv,
 )
 
@@ -97,10 +98,10 @@ def test_every_method_plays_the_same_seeds() -> None:
 def test_manifest_records_what_decides_the_rows() -> None:
     import torch
 
-    made = runner.make_manifest(["Placement"], ["smp"], "easy", 5, 7)
+    made = make_manifest(["Placement"], ["smp"], "easy", 5, 7)
     assert made.versions["torch"].split("+")[0] == torch.__version__.split("+")[0]
     assert made.versions["numpy"] == np.__version__
-    assert made == runner.make_manifest(["Placement"], ["smp"], "easy", 5, 7)
+    assert made == make_manifest(["Placement"], ["smp"], "easy", 5, 7)
 
 
 @pytest.mark.parametrize(
@@ -117,11 +118,11 @@ def test_manifest_records_what_decides_the_rows() -> None:
 )
 def test_unknown_names_list_what_exists(arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        runner.make_manifest(*arguments)
+        make_manifest(*arguments)
 
 
 def test_frozen_lists_are_asked_for_by_seed_and_half() -> None:
-    made = runner.make_manifest(["Placement"], ["smp", "promp"], "hard", 0, 5, frozen=True)
+    made = make_manifest(["Placement"], ["smp", "promp"], "hard", 0, 5, frozen=True)
     keys = made.episode_keys()
     listed = [(e.seed, e.half) for e in load_episodes("Placement", "hard")[:5]]
     for method in ("smp", "promp"):
@@ -144,16 +145,16 @@ def test_frozen_lists_that_do_not_exist_are_refused(
     difficulty: str, seed: int, episodes: int, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        runner.make_manifest(["Placement"], ["smp"], difficulty, seed, episodes, frozen=True)
+        make_manifest(["Placement"], ["smp"], difficulty, seed, episodes, frozen=True)
 
 
 def test_a_family_is_in_every_key_and_in_the_title() -> None:
-    made = runner.make_manifest(["Placement"], ["smp"], "medium", 0, 2, family="shelf")
+    made = make_manifest(["Placement"], ["smp"], "medium", 0, 2, family="shelf")
     assert [(key.family, key.seed) for key in made.episode_keys()] == [("shelf", 0), ("shelf", 1)]
     rows = [fake_play(key) for key in made.episode_keys()]
     assert [row.key for row in rows] == made.episode_keys()
     assert table(summarise(made, rows)).title == "furniture: shelf, seeds 0–1"
-    plain = runner.make_manifest(["Placement"], ["smp"], "medium", 0, 2)
+    plain = make_manifest(["Placement"], ["smp"], "medium", 0, 2)
     assert not set(plain.episode_keys()) & set(made.episode_keys())
 
 
@@ -169,7 +170,7 @@ def test_families_that_cannot_be_played_are_refused(
     tasks: list[str], family: str, frozen: bool, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        runner.make_manifest(tasks, ["smp"], "easy", 0, 1, frozen=frozen, family=family)
+        make_manifest(tasks, ["smp"], "easy", 0, 1, frozen=frozen, family=family)
 
 
 # What is stored

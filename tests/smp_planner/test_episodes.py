@@ -16,9 +16,9 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.sampling import sample_scene
 from smp_planner.benchmark.cli import app
-from smp_planner.benchmark.episodes import EpisodeKey, Rollout, environment_id, roll_out
-from smp_planner.benchmark.figures import object_paths
-from smp_planner.benchmark.store import read_results
+from smp_planner.benchmark.episode_pictures import object_paths
+from smp_planner.benchmark.episodes import EpisodeKey, PlayedEpisode, environment_id, play_episode
+from smp_planner.benchmark.manifest import read_results
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 TIMES = ("planning_time", "episode_time")
@@ -32,9 +32,9 @@ def env() -> Iterator[gym.Env[Any, Any]]:
 
 
 @pytest.fixture(scope="module")
-def rollouts(env: gym.Env[Any, Any]) -> dict[str, Rollout]:
+def rollouts(env: gym.Env[Any, Any]) -> dict[str, PlayedEpisode]:
     return {
-        method: roll_out(
+        method: play_episode(
             EpisodeKey("Placement", method, "medium", 5),
             env,
             PlannerPolicy.make(method, "Placement"),
@@ -43,7 +43,7 @@ def rollouts(env: gym.Env[Any, Any]) -> dict[str, Rollout]:
     }
 
 
-def test_methods_meet_the_scene_of_the_seed(rollouts: dict[str, Rollout]) -> None:
+def test_methods_meet_the_scene_of_the_seed(rollouts: dict[str, PlayedEpisode]) -> None:
     scene = sample_scene("Placement", "medium", 5)
     for rollout in rollouts.values():
         assert len(rollout.scene.obstacles) == len(scene.obstacles) == 4
@@ -55,7 +55,7 @@ def test_methods_meet_the_scene_of_the_seed(rollouts: dict[str, Rollout]) -> Non
 def test_an_episode_of_a_frozen_list_is_the_stored_one(env: gym.Env[Any, Any]) -> None:
     episode = load_episodes("Placement", "hard")[1]
     key = EpisodeKey("Placement", "promp", "hard", episode.seed, episode.half)
-    rollout = roll_out(key, env, PlannerPolicy.make("promp", "Placement"))
+    rollout = play_episode(key, env, PlannerPolicy.make("promp", "Placement"))
     assert rollout.row.key == key
     assert rollout.row.half == "certified"
     assert len(rollout.scene.obstacles) == 6
@@ -63,10 +63,10 @@ def test_an_episode_of_a_frozen_list_is_the_stored_one(env: gym.Env[Any, Any]) -
         np.testing.assert_allclose(met.position, stored.position, atol=1e-6)
     unknown = EpisodeKey("Placement", "promp", "hard", 5, "witness")
     with pytest.raises(ValueError, match="seed=5"):
-        roll_out(unknown, env, PlannerPolicy.make("promp", "Placement"))
+        play_episode(unknown, env, PlannerPolicy.make("promp", "Placement"))
 
 
-def test_rows_say_what_the_plan_says(rollouts: dict[str, Rollout]) -> None:
+def test_rows_say_what_the_plan_says(rollouts: dict[str, PlayedEpisode]) -> None:
     for rollout in rollouts.values():
         row, plan = rollout.row, rollout.plan
         both = [bool(a and b) for a, b in zip(plan.collision_free, plan.executable, strict=True)]
@@ -76,7 +76,7 @@ def test_rows_say_what_the_plan_says(rollouts: dict[str, Rollout]) -> None:
         assert row.planning_time < row.episode_time
 
 
-def test_rows_say_what_happened(rollouts: dict[str, Rollout]) -> None:
+def test_rows_say_what_happened(rollouts: dict[str, PlayedEpisode]) -> None:
     for rollout in rollouts.values():
         row, path = rollout.row, rollout.object_path
         assert len(path) == row.steps + 1 <= 401
@@ -91,7 +91,9 @@ def test_rows_say_what_happened(rollouts: dict[str, Rollout]) -> None:
             assert row.path_length > 0.6
 
 
-def test_lines_of_the_figure_pass_where_the_object_is_held(rollouts: dict[str, Rollout]) -> None:
+def test_lines_of_the_figure_pass_where_the_object_is_held(
+    rollouts: dict[str, PlayedEpisode],
+) -> None:
     for rollout in rollouts.values():
         begin = object_paths(np.array(rollout.scene.start))
         np.testing.assert_allclose(begin, rollout.object_path[0], atol=0.01)

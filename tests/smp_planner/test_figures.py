@@ -12,9 +12,9 @@ from scipy.spatial import ConvexHull
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
-from smp_planner.benchmark.drawing import Camera, Painter, body_faces
-from smp_planner.benchmark.episodes import EpisodeRow, Rollout
-from smp_planner.benchmark.figures import FRAME_RATE, scene_figure, write_video
+from smp_planner.benchmark.camera import Camera, Painter, body_faces
+from smp_planner.benchmark.episode_pictures import FRAME_RATE, scene_figure, write_video
+from smp_planner.benchmark.episodes import EpisodeRow, PlayedEpisode
 from smp_planner.planning.problem import Plan
 
 ALONG_X = Camera((0.0, 0.0, 0.0), azimuth=0.0, elevation=0.0, distance=2.0)
@@ -78,7 +78,7 @@ def test_lines_behind_a_body_are_hidden(x: float, seen: bool) -> None:
     assert _shows_red(_picture(painter)) is seen
 
 
-def _rollout() -> Rollout:
+def _played() -> PlayedEpisode:
     demonstrations = Demonstrations.load("Placement")
     trajectories = demonstrations.configurations
     count = len(trajectories)
@@ -114,12 +114,12 @@ def _rollout() -> Rollout:
         clearance=0.0,
         steps=100,
     )
-    return Rollout(row, scene, plan, np.zeros((101, 3)), ())
+    return PlayedEpisode(row, scene, plan, np.zeros((101, 3)))
 
 
 def test_scene_figure_shows_every_kind_of_line(tmp_path: Path) -> None:
     path = tmp_path / "scene.png"
-    scene_figure(_rollout(), path)
+    scene_figure(_played(), path)
     picture = imageio.imread(path)[..., :3].astype(int)
     left = picture[:, : int(0.65 * picture.shape[1])]
     for color in ("#7fa3ee", "#ea8585", "#f59e0b", "#4b5563"):

@@ -5,13 +5,13 @@ import imageio.v2 as imageio
 import numpy as np
 
 from smp_gym.robot.kinematics import GRASP_CENTER, end_effector_pose
+from smp_gym.rollout import rollout
 from smp_gym.scene import PAD_DEPTH
 from smp_gym.tasks.double_sided_placement.rules import NOMINAL_PADS, START_CONFIGURATION
 from smp_planner.experiments.particle_figures import (
     SHIFT,
     draw_before_and_after,
     modulated_scene,
-    play_particle,
 )
 from smp_planner.experiments.table_two.scenes import load_scenes
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -48,5 +48,6 @@ def test_the_new_start_and_ends_are_elsewhere_and_both_sides_are_reached():
     sides = plan.signatures[plan.best_of_modes, 0]
     assert set(sides) == {0, 1}
     best = plan.best_of_modes[[int(np.flatnonzero(sides == side)[0]) for side in (0, 1)]]
-    assert all(play_particle(env, scene, policy, plan, int(particle))[0] for particle in best)
+    tracks = [policy.track(plan, int(particle)) for particle in best]
+    assert all(rollout(env, track, scene=scene).success for track in tracks)
     env.close()

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from scipy import stats
 
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS
+from smp_planner.benchmark import runner
 from smp_planner.benchmark.metrics import Metrics
-from smp_planner.benchmark.row_file import ResultsError, RowFile
+from smp_planner.benchmark.results_folder import ResultsError, ResultsFolder
 from smp_planner.experiments.table_two import repetitions, running
 from smp_planner.experiments.table_two.figure import draw_table
 from smp_planner.experiments.table_two.repetitions import (
@@ -60,7 +62,7 @@ def inline(monkeypatch):
         for key in keys:
             done(player(key))
 
-    monkeypatch.setattr(running, "play_all", play_all)
+    monkeypatch.setattr(runner, "play_all", play_all)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +97,7 @@ def test_the_first_of_all_comes_before_the_second_of_any():
 
 def test_a_row_survives_json(rows):
     for row in rows[:12]:
-        assert parse_row(json.loads(json.dumps(row.content()))) == row
+        assert parse_row(json.loads(json.dumps(asdict(row)))) == row
 
 
 def test_a_run_goes_on_where_it_was_cut(tmp_path, inline):
@@ -127,9 +129,9 @@ def test_a_folder_of_other_code_is_refused(tmp_path, inline):
 
 
 def test_a_folder_in_use_is_refused(tmp_path):
-    first = RowFile(tmp_path / "rows.jsonl", json.loads)
+    first = ResultsFolder(tmp_path, "rows.jsonl", parse_row, {})
     with pytest.raises(ResultsError, match="another run"):
-        RowFile(tmp_path / "rows.jsonl", json.loads)
+        ResultsFolder(tmp_path, "rows.jsonl", parse_row, {})
     first.close()
 
 

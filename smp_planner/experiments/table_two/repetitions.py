@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -14,8 +14,10 @@ import torch
 from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError
-from smp_gym.scene import TASKS, Scene
+from smp_gym.rollout import Rollout, rollout
+from smp_gym.scene import TASKS
 from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.metrics import (
     COMPARED_SAMPLES,
@@ -34,7 +36,6 @@ from smp_planner.planners.tying import tie_primitive
 from smp_planner.planning.modes import group
 from smp_planner.planning.problem import Plan, Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
-from smp_planner.policy.tracking import Track
 
 __all__ = [
     "FLOOR",
@@ -142,13 +143,9 @@ class RepetitionRow:
         """Which repetition this is."""
         return RepetitionKey(self.repetition, self.task, self.method)
 
-    def content(self) -> dict[str, Any]:
-        """Return what goes to JSON and back by `parse_row`."""
-        return asdict(self)
-
 
 def parse_row(content: dict[str, Any]) -> RepetitionRow:
-    """Return the row that `RepetitionRow.content` describes.
+    """Return the row that JSON holds.
 
     Raises:
         TypeError: fields are missing or not known.
@@ -181,7 +178,9 @@ def play_repetition(key: RepetitionKey) -> RepetitionRow:
         (plan,) = policy.planner.plan([problem])
     except UnreachableError:
         return _without_plan(key)
-    return _measured(key, problem, plan, _executed(env, load_scenes()[key.task], policy, plan))
+    tracks = [policy.track(plan, particle) for particle in range(len(plan.trajectories))]
+    scene = load_scenes()[key.task]
+    return _measured(key, problem, plan, [rollout(env, track, scene=scene) for track in tracks])
 
 
 def _without_plan(key: RepetitionKey) -> RepetitionRow:
@@ -199,11 +198,11 @@ def _without_plan(key: RepetitionKey) -> RepetitionRow:
 
 
 def _measured(
-    key: RepetitionKey, problem: Problem, plan: Plan, infos: list[tuple[int, dict[str, Any]]]
+    key: RepetitionKey, problem: Problem, plan: Plan, played: Sequence[Rollout]
 ) -> RepetitionRow:
     robot = jaco_model(problem.attached)
     paths = robot.carried_points(plan.trajectories, problem.goals[0].point)[0]
-    success = np.array([bool(info["is_success"]) for _, info in infos])
+    success = np.array([one.success for one in played])
     reached = plan.goal_error < REACHED
     free = free_waypoints(problem, robot, plan.trajectories)
     count = int(success.sum())
@@ -220,8 +219,8 @@ def _measured(
         key.task,
         key.method,
         success=tuple(success.tolist()),
-        causes=tuple(_cause(info) for _, info in infos),
-        steps=tuple(steps for steps, _ in infos),
+        causes=tuple(_cause(one.info) for one in played),
+        steps=tuple(one.steps for one in played),
         planned=tuple((plan.good & reached).tolist()),
         lengths=tuple(path_lengths(paths).tolist()),
         free_waypoints=success_rates(free, reached).waypoints,
@@ -237,25 +236,6 @@ def _measured(
 def _cause(info: dict[str, Any]) -> str:
     contact = " – ".join(info["collision"] or ())
     return f"{info['failure']}: {contact}" if contact else info["failure"]
-
-
-def _executed(
-    env: gym.Env[Any, Any], scene: Scene, policy: PlannerPolicy, plan: Plan
-) -> list[tuple[int, dict[str, Any]]]:
-    """Execute every particle; return the steps and the last `info` of each."""
-    tracks = [policy.track(plan, particle) for particle in range(len(plan.trajectories))]
-    return [_follow(env, scene, track) for track in tracks]
-
-
-def _follow(env: gym.Env[Any, Any], scene: Scene, track: Track) -> tuple[int, dict[str, Any]]:
-    observation, info = env.reset(options={"scene": scene})
-    step, over = 0, False
-    while not over:
-        action = track.action(step, np.asarray(observation["observation"][6:12], np.float64))
-        observation, _, terminated, truncated, info = env.step(action)
-        step += 1
-        over = terminated or truncated
-    return step, info
 
 
 @lru_cache(maxsize=len(TASKS))
@@ -276,7 +256,7 @@ def _policy(task: str, method: str) -> PlannerPolicy:
     policy = PlannerPolicy.make(name, task, settings=settings)
     observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
     with suppress(UnreachableError):
-        policy.planner.plan([policy.problem(observation)])
+        policy.plan(observation)
     return policy
 
 
@@ -304,7 +284,7 @@ class _Conditioned(NamedTuple):
 def _conditioned(task: str) -> _Conditioned:
     prior = _prior(task)
     observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
-    problem = PlannerPolicy(prior).problem(observation)
+    problem = PlannerPolicy(prior, Demonstrations.load(task)).problem(observation)
     robot = jaco_model(problem.attached)
     return _Conditioned(
         tuple(

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.report import mean_interval, rate_interval
-from smp_planner.benchmark.store import write_atomically, write_json
+from smp_planner.benchmark.results_folder import write_atomically, write_json, write_table
+from smp_planner.benchmark.summary import mean_interval, rate_interval
 from smp_planner.experiments.table_two.repetitions import METHODS, RepetitionRow
 from smp_planner.experiments.table_two.scenes import RULE, load_scenes
 
@@ -137,15 +135,17 @@ def _similarity_columns(part: str) -> tuple[_Column, ...]:
     )
 
 
+def _lines(titles: Iterable[str], rows: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
+    """Return a table in Markdown, a row for each method and its cells."""
+    header = ["method", *titles]
+    lines = [" | ".join(header), "|".join(["---"] * len(header))]
+    lines += [" | ".join((TITLES[method], *cells)) for method, cells in rows]
+    return [f"| {lines[0]} |", f"|{lines[1]}|", *(f"| {line} |" for line in lines[2:])]
+
+
 def _table(methods: Mapping[str, Any], columns: Sequence[_Column]) -> list[str]:
-    lines = [
-        "| method | " + " | ".join(title for title, _ in columns) + " |",
-        "|---" * (len(columns) + 1) + "|",
-    ]
-    for method, summary in methods.items():
-        cells = " | ".join(show(summary) for _, show in columns)
-        lines.append(f"| {TITLES[method]} | {cells} |")
-    return lines
+    rows = ((method, [show(of_it) for _, show in columns]) for method, of_it in methods.items())
+    return _lines((title for title, _ in columns), rows)
 
 
 _OVERVIEW: tuple[_Column, ...] = (
@@ -165,31 +165,21 @@ def _overview(tasks: Mapping[str, Any]) -> list[str]:
         task: {m: s for m, s in methods.items() if s["success"] is not None}
         for task, methods in tasks.items()
     }
+    methods = [m for m in METHODS if any(m in of_task for of_task in executed.values())]
     lines = []
     for title, show in _OVERVIEW:
-        lines += ["", title, "", "| method | " + " | ".join(tasks) + " |"]
-        lines.append("|---" * (len(tasks) + 1) + "|")
-        for method in METHODS:
-            if any(method in of_task for of_task in executed.values()):
-                cells = [
-                    show(of_task[method]) if method in of_task else "–"
-                    for of_task in executed.values()
-                ]
-                lines.append(f"| {TITLES[method]} | " + " | ".join(cells) + " |")
+        rows = [
+            (m, [show(of_task[m]) if m in of_task else "–" for of_task in executed.values()])
+            for m in methods
+        ]
+        lines += ["", title, "", *_lines(tasks, rows)]
     return lines
 
 
 def _paper_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
     names = ("wasserstein", "frechet", "mmd", "success", "mean_length", "min_length")
     titles = ("W.D", "F.D", "M.M.D", "Succ.Rate", "Avg.Traj.Len", "Min.Traj.Len")
-    return [
-        "| method | " + " | ".join(titles) + " |",
-        "|---" * (len(titles) + 1) + "|",
-        *(
-            f"| {TITLES[row['method']]} | " + " | ".join(row[name] for name in names) + " |"
-            for row in rows
-        ),
-    ]
+    return _lines(titles, ((row["method"], [row[name] for name in names]) for row in rows))
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
@@ -224,15 +214,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _csv(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def _repetitions_csv(rows: Sequence[RepetitionRow]) -> str:
+def _write_repetitions(path: Path, rows: Sequence[RepetitionRow]) -> None:
     plain = ("task", "method", "repetition")
     counted = ("free_waypoints", "modes", "entropy", "planning_time")
     parts = [(part, metric) for part in ("all", "successful", "floor") for metric in _SIMILARITY]
@@ -251,10 +233,10 @@ def _repetitions_csv(rows: Sequence[RepetitionRow]) -> str:
                 *(found[part].get(metric) for part, metric in parts),
             ]
         )
-    return _csv(header, body)
+    write_table(path, header, body)
 
 
-def _trajectories_csv(rows: Sequence[RepetitionRow]) -> str:
+def _write_trajectories(path: Path, rows: Sequence[RepetitionRow]) -> None:
     header = ("task", "method", "repetition", "particle", "success", "cause", "steps", "planned")
     body = [
         (row.task, row.method, row.repetition, particle, *values)
@@ -263,7 +245,7 @@ def _trajectories_csv(rows: Sequence[RepetitionRow]) -> str:
             zip(row.success, row.causes, row.steps, row.planned, row.lengths, strict=True)
         )
     ]
-    return _csv((*header, "length"), body)
+    write_table(path, (*header, "length"), body)
 
 
 def write_report(rows: Sequence[RepetitionRow], folder: Path) -> dict[str, Any]:
@@ -277,8 +259,8 @@ def write_report(rows: Sequence[RepetitionRow], folder: Path) -> dict[str, Any]:
         The summary.
     """
     summary = summarise(rows)
-    write_atomically(folder / "trajectories.csv", _trajectories_csv(rows))
-    write_atomically(folder / "repetitions.csv", _repetitions_csv(rows))
+    _write_trajectories(folder / "trajectories.csv", rows)
+    _write_repetitions(folder / "repetitions.csv", rows)
     write_json(folder / "summary.json", summary)
     write_atomically(folder / "table_two.md", markdown(summary))
     return summary

@@ -17,8 +17,10 @@ from smp_gym.assets import asset_path
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS, Scene
 from smp_planner.benchmark.episodes import environment_id
-from smp_planner.benchmark.store import write_json
+from smp_planner.benchmark.results_folder import write_json
 from smp_planner.collision.robot_model import jaco_model
+from smp_planner.movement_primitives import ProMPMixture
+from smp_planner.planners import make_planner
 from smp_planner.planners.judging import REACHED, free_waypoints
 from smp_planner.planners.tying import tie_primitive
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -46,12 +48,12 @@ compared over those; the rule asks the same of all methods."""
 _FORMAT_VERSION = 1
 
 
-def _mean_collides(policy: PlannerPolicy, observation: Any) -> bool:
+def _mean_collides(prior: ProMPMixture, policy: PlannerPolicy, observation: Any) -> bool:
     """Return whether the mean of each component, conditioned on start and goal, collides."""
     problem = policy.problem(observation)
     robot = jaco_model(problem.attached)
     means = []
-    for component in policy.planner.mixture.components:
+    for component in prior.components:
         tied = tie_primitive(component, problem, robot, problem.via_points).primitive
         means.append(tied.trajectory(tied.mean, 200).numpy())
     return not free_waypoints(problem, robot, np.array(means)).all(axis=1).any()
@@ -69,11 +71,12 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
     """
     torch.set_num_threads(1)
     env = gym.make(environment_id(task), difficulty=DIFFICULTY)
+    prior = make_planner(methods[0], task, settings=PRIOR).mixture
     policies = [PlannerPolicy.make(method, task, settings=PRIOR) for method in methods]
     try:
         for seed in range(MOST_SEEDS):
             observation, _ = env.reset(seed=seed)
-            if _mean_collides(policies[0], observation) and all(
+            if _mean_collides(prior, policies[0], observation) and all(
                 _share(policy, observation) >= LEAST_SHARE for policy in policies
             ):
                 return sample_scene(task, DIFFICULTY, seed)
@@ -84,7 +87,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
 
 def _share(policy: PlannerPolicy, observation: Any) -> float:
     """Return the share of particles that the planner judges a success."""
-    (plan,) = policy.planner.plan([policy.problem(observation)])
+    plan = policy.plan(observation)
     return float((plan.good & (plan.goal_error < REACHED)).mean())
 
 

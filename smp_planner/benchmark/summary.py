@@ -6,7 +6,8 @@ import math
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,22 @@ from scipy import stats
 
 from smp_gym.datasets.frozen import HALVES
 from smp_planner.benchmark.episodes import EpisodeRow, kind_of_scene
+from smp_planner.benchmark.manifest import Manifest
 from smp_planner.benchmark.map_accuracy import MapAccuracy
-from smp_planner.benchmark.store import Manifest
+from smp_planner.benchmark.results_folder import write_table
 
-__all__ = ["CONFIDENCE", "mean_interval", "rate_interval", "summarise", "table"]
+__all__ = [
+    "COLUMNS",
+    "CONFIDENCE",
+    "mean_interval",
+    "rate_interval",
+    "summarise",
+    "table",
+    "write_csv",
+]
+
+COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
+"""Columns of ``episodes.csv``; the last two are times and differ from run to run."""
 
 CONFIDENCE = 0.95
 """Level of all intervals."""
@@ -143,11 +156,14 @@ def summarise(
     }
 
 
+def write_csv(path: Path, rows: Sequence[EpisodeRow]) -> None:
+    """Write rows sorted by task, method, difficulty and seed; columns are `COLUMNS`."""
+    ordered = sorted(rows, key=lambda row: row.key)
+    write_table(path, COLUMNS, [[getattr(row, name) for name in COLUMNS] for row in ordered])
+
+
 def _percent(estimate: Mapping[str, float] | None) -> str:
-    if estimate is None:
-        return "–"
-    value, low, high = (100 * estimate[name] for name in ("value", "low", "high"))
-    return f"{value:.1f} [dim]({low:.1f}–{high:.1f})[/]"
+    return _number(estimate, 100, 1)
 
 
 def _number(estimate: Mapping[str, float] | None, scale: float, digits: int) -> str:

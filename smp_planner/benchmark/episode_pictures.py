@@ -21,16 +21,17 @@ from scipy.spatial import ConvexHull
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
+from smp_gym.rollout import FrameRecorder
 from smp_gym.scene import Obstacle, Scene, fixtures
-from smp_planner.benchmark.drawing import Camera, Painter, body_faces
+from smp_planner.benchmark.camera import Camera, Painter, body_faces
 from smp_planner.benchmark.episodes import (
     EpisodeKey,
-    Rollout,
+    PlayedEpisode,
+    PlayMethods,
     environment_id,
     kind_of_scene,
-    roll_out,
+    play_episode,
 )
-from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [
     "Way",
@@ -175,19 +176,19 @@ def paint_scene(
     painter.paint(axes)
 
 
-def _draw_space(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
-    plan = rollout.plan
-    paths = object_paths(plan.trajectories, carried_point(rollout.scene))
+def _draw_space(axes: Any, played: PlayedEpisode, demonstrations: FloatArray) -> None:
+    plan = played.plan
+    paths = object_paths(plan.trajectories, carried_point(played.scene))
     ways = [
         Way(path, _FREE if free else _COLLIDING)
         for path, free in zip(paths, plan.collision_free, strict=True)
     ]
     ways += [Way(path, _DEMONSTRATION, 1.2, dashed=True) for path in demonstrations]
-    paint_scene(axes, rollout.scene, [*ways, Way(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True)])
+    paint_scene(axes, played.scene, [*ways, Way(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True)])
 
 
-def _draw_from_above(axes: Any, rollout: Rollout, demonstrations: FloatArray) -> None:
-    scene, plan = rollout.scene, rollout.plan
+def _draw_from_above(axes: Any, played: PlayedEpisode, demonstrations: FloatArray) -> None:
+    scene, plan = played.scene, played.plan
     bin_parts = fixtures(scene)[1:]
     for bodies, color, alpha in ((bin_parts, _BIN, 0.4), (scene.obstacles, _OBSTACLE, 0.8)):
         for body in bodies:
@@ -218,8 +219,8 @@ def _draw_from_above(axes: Any, rollout: Rollout, demonstrations: FloatArray) ->
     axes.set_axisbelow(True)
 
 
-def _legend_entries(rollout: Rollout, count: int) -> list[Any]:
-    plan = rollout.plan
+def _legend_entries(played: PlayedEpisode, count: int) -> list[Any]:
+    plan = played.plan
     free = int(plan.collision_free.sum())
     colliding = len(plan.collision_free) - free
     return [
@@ -229,29 +230,29 @@ def _legend_entries(rollout: Rollout, count: int) -> list[Any]:
         Line2D([], [], color=_DEMONSTRATION, lw=1.2, ls="--", label=f"demonstrations ({count})"),
         Line2D([], [], color=_ARM, lw=7, label="arm at the start", solid_capstyle="round"),
         Patch(color=_OBSTACLE, label="obstacles"),
-        *([Patch(color=_BIN, alpha=0.6, label="goals")] if fixtures(rollout.scene)[1:] else []),
+        *([Patch(color=_BIN, alpha=0.6, label="goals")] if fixtures(played.scene)[1:] else []),
     ]
 
 
-def scene_figure(rollout: Rollout, path: Path) -> None:
+def scene_figure(played: PlayedEpisode, path: Path) -> None:
     """Draw scene, particles and demonstrations in 3-D and from above, and write a PNG.
 
     Lines are ways of the grasped object's centre, or of the pen's tip; the grid on the table has
     steps of 0.2 m.
 
     Args:
-        rollout: one played episode.
+        played: the episode.
         path: of the image.
     """
-    row = rollout.row
+    row = played.row
     shipped = Demonstrations.load(row.task).configurations
-    demonstrations = object_paths(shipped, carried_point(rollout.scene))
+    demonstrations = object_paths(shipped, carried_point(played.scene))
     figure = Figure(figsize=(12.0, 6.4), dpi=160, facecolor="white")
     FigureCanvasAgg(figure)
-    _draw_space(figure.add_axes((0.01, 0.01, 0.68, 0.87)), rollout, demonstrations)
-    _draw_from_above(figure.add_axes((0.735, 0.09, 0.255, 0.50)), rollout, demonstrations)
+    _draw_space(figure.add_axes((0.01, 0.01, 0.68, 0.87)), played, demonstrations)
+    _draw_from_above(figure.add_axes((0.735, 0.09, 0.255, 0.50)), played, demonstrations)
     figure.legend(
-        handles=_legend_entries(rollout, len(demonstrations)),
+        handles=_legend_entries(played, len(demonstrations)),
         loc="upper left",
         bbox_to_anchor=(0.72, 0.98),
         frameon=False,
@@ -290,10 +291,13 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: Path) -> None:
             writer.append_data(frame)
 
 
-def draw_episode(key: EpisodeKey, folder: Path, figure: bool, video: bool) -> list[Path]:
+def draw_episode(
+    player: PlayMethods, key: EpisodeKey, folder: Path, figure: bool, video: bool
+) -> list[Path]:
     """Play one episode and write ``scene_TASK_METHOD.png`` and ``episode_TASK_METHOD.mp4``.
 
     Args:
+        player: knows the method.
         key: names the episode.
         folder: of the files; must exist.
         figure: whether to write the image.
@@ -308,15 +312,16 @@ def draw_episode(key: EpisodeKey, folder: Path, figure: bool, video: bool) -> li
         family=key.family,
         render_mode="rgb_array" if video else None,
     )
+    recorder = FrameRecorder()
     try:
-        rollout = roll_out(key, env, PlannerPolicy.make(key.method, key.task))
+        played = play_episode(key, env, player.policy(key), (recorder,))
     finally:
         env.close()
     written = []
     if figure:
         written.append(folder / f"scene_{key.task}_{key.method}.png")
-        scene_figure(rollout, written[-1])
+        scene_figure(played, written[-1])
     if video:
         written.append(folder / f"episode_{key.task}_{key.method}.mp4")
-        write_video(rollout.frames, written[-1])
+        write_video(recorder.frames, written[-1])
     return written
