@@ -140,7 +140,8 @@ def run(
     results/medium[/green]
     """
     from smp_planner.benchmark.results_folder import ResultsError
-    from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError, available_cores
+    from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
+    from smp_planner.benchmark.worker_pool import available_cores
 
     first = seed if seed is not None else 0 if frozen else _FIRST_SEED
     manifest = _manifest(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Annotated, TypeVar
 
@@ -20,6 +18,7 @@ from rich.progress import (
 )
 
 from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
     "INTERRUPTED",
@@ -142,9 +141,8 @@ def pooled(
         chunk: items that follow each other in one worker.
     """
     results = []
-    context = multiprocessing.get_context("spawn")
     with (
-        ProcessPoolExecutor(jobs, mp_context=context) as pool,
+        workers(jobs) as pool,
         progress_bar(title, len(items), console) as (progress, bar),
     ):
         for result in pool.map(function, items, chunksize=chunk):
