@@ -19,11 +19,11 @@ from smp_gym.inspection.checking import (
     make,
     memory_along_resets,
 )
-from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.options import Names, chosen_names
 
 
 def main(
-    ids: Annotated[str, typer.Option(help="Ids, separated by commas. Default: all.")] = "",
+    ids: Names = "",
     steps: Annotated[int, typer.Option(min=1, help="Random steps of an id.")] = 5000,
     resets: Annotated[int, typer.Option(min=2 * WARM_UP, help="Resets of an id.")] = 10_000,
 ) -> None:

@@ -10,16 +10,16 @@ from rich.table import Table
 
 from smp_gym.inspection.witness_check import witness_solves
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import chosen_names, pooled
+from smp_planner.benchmark.options import Jobs, Names, chosen_names, pooled
 from smp_planner.benchmark.summary import rate_interval
 
 
 def main(
-    tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
-    difficulties: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    tasks: Names = "",
+    difficulties: Names = "",
     episodes: Annotated[int, typer.Option(min=1, help="Scenes of a task and difficulty.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+    jobs: Jobs = 1,
 ) -> None:
     """Play witnesses; the exit status is 1 if one fails.
 

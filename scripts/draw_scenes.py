@@ -14,13 +14,13 @@ from rich.progress import track
 
 from smp_gym.inspection.sheets import draw_sheet, pictures
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, TASKS
-from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.options import Names, chosen_names
 
 
 def main(
     out: Annotated[Path, typer.Option(help="Folder of the sheets.")] = Path("results/scenes"),
-    tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
-    difficulties: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    tasks: Names = "",
+    difficulties: Names = "",
     scenes: Annotated[int, typer.Option(min=1, max=48, help="On each sheet.")] = 12,
     seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 0,
 ) -> None:

@@ -49,7 +49,10 @@ def main(
     ] = "medium",
     overwrite: Annotated[bool, typer.Option(help="Replace a data set of the same id.")] = False,
 ) -> None:
-    """Play the demonstrations of a task and write them; refuse unless all of them succeed."""
+    """Play the demonstrations of a task and write them; refuse unless all of them succeed.
+
+    Example: python scripts/export_minari.py --task DrawS --out results/minari
+    """
     console = Console()
     if out is not None:
         os.environ["MINARI_DATASETS_PATH"] = str(out)

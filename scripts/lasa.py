@@ -13,9 +13,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from smp_planner.benchmark.options import chosen_names
-from smp_planner.experiments import boxes, comparison, tuning
-from smp_planner.experiments import lasa_modulation as modulation
+from smp_planner.benchmark.options import Names, chosen_names
+from smp_planner.experiments import boxes, comparison, lasa_modulation, tuning
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2A,
@@ -52,7 +51,7 @@ def compare(
     via: _Vias = None,
     goal: _Goal = None,
     modes: _Modes = None,
-    method: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    method: Names = "",
     particles: _Particles = 42,
     repetitions: _Repetitions = 20,
     out: _Out = Path("results/lasa/fig1"),
@@ -91,13 +90,13 @@ def modulate(
     scenes = {"a": FIGURE_2A, "b": FIGURE_2B}
     if shape:
         scenes = {shape: scene_of(shape, obstacle, via, goal)}
-    rows = modulation.modulate(scenes, particles, repetitions, out / "paths.png", modes)
+    rows = lasa_modulation.modulate(scenes, particles, repetitions, out / "paths.png", modes)
     scenes_text = "; ".join(f"{name}: {described(scene)}" for name, scene in scenes.items())
     note = (
-        f"{particles} particles, {repetitions} repetitions; within {modulation.TOLERANCE} mm a "
-        f"via-point is passed and an end reached. {scenes_text}."
+        f"{particles} particles, {repetitions} repetitions; within {lasa_modulation.TOLERANCE} mm "
+        f"a via-point is passed and an end reached. {scenes_text}."
     )
-    report(rows, ["scene", "method"], modulation.COLUMNS, out, "modulation", note)
+    report(rows, ["scene", "method"], lasa_modulation.COLUMNS, out, "modulation", note)
 
 
 @app.command("boxes")
@@ -106,7 +105,10 @@ def boxes_command(
     repetitions: _Repetitions = 20,
     out: _Out = Path("results/lasa/table1"),
 ) -> None:
-    """Count starts and ends in their regions with and without the smooth box prior: Table I."""
+    """Count starts and ends in their regions with and without the smooth box prior: Table I.
+
+    Example: python scripts/lasa.py boxes --repetitions 5
+    """
     rows = boxes.box_rows(particles, repetitions)
     note = f"{particles} particles, {repetitions} repetitions."
     report(rows, ["shape", "prior", "paper"], boxes.COLUMNS, out, "boxes", note)
@@ -114,12 +116,15 @@ def boxes_command(
 
 @app.command()
 def tune(
-    method: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    method: Names = "",
     particles: _Particles = 42,
     repetitions: Annotated[int, typer.Option(min=1, help="In each tuning scene.")] = 3,
     out: _Out = Path("results/lasa/tuning"),
 ) -> None:
-    """Try settings of each method on other scenes and seeds, and name the best."""
+    """Try settings of each method on other scenes and seeds, and name the best.
+
+    Example: python scripts/lasa.py tune --method smp --repetitions 1
+    """
     for name in chosen_names(method, tuple(tuning.CANDIDATES), "--method"):
         rows = tuning.tuning_rows(name, particles, repetitions)
         summaries = report(rows, ["method", "candidate"], tuning.COLUMNS, out, name)

@@ -15,17 +15,15 @@ from rich.console import Console
 
 from smp_gym.scene import TASKS
 from smp_planner.benchmark.certification import CROWDED, make_lists
-from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.options import Jobs, chosen_names
 
 
 def main(
     out: Annotated[Path, typer.Option(help="Folder of the lists.")] = Path("envs_assets/benchmark"),
-    tasks: Annotated[str, typer.Option(help="Names of tasks, separated by commas.")] = "Placement",
-    difficulties: Annotated[
-        str, typer.Option(help="Names of difficulties, separated by commas.")
-    ] = "easy,medium,hard",
+    tasks: Annotated[str, typer.Option(help="Separated by commas.")] = "Placement",
+    difficulties: Annotated[str, typer.Option(help="Separated by commas.")] = "easy,medium,hard",
     episodes: Annotated[int, typer.Option(min=2, help="Episodes of a list, an even number.")] = 200,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+    jobs: Jobs = 1,
 ) -> None:
     """Make lists and write them to OUT.
 

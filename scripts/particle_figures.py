@@ -31,7 +31,10 @@ def main(
         int, typer.Option(min=1, help="Tuning scenes in which two modes are sought.")
     ] = 40,
 ) -> None:
-    """Draw figures, and film what is executed."""
+    """Draw figures, and film what is executed.
+
+    Example: python scripts/particle_figures.py --figures particles,sides
+    """
     console = Console()
     out.mkdir(parents=True, exist_ok=True)
     chosen = chosen_names(figures, _FIGURES, "--figures")

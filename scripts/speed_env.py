@@ -14,11 +14,11 @@ from rich.console import Console
 from rich.table import Table
 
 from smp_gym.inspection.speed import known_ids, together
-from smp_planner.benchmark.options import chosen_names, split_names
+from smp_planner.benchmark.options import Names, chosen_names, split_names
 
 
 def main(
-    ids: Annotated[str, typer.Option(help="Ids, separated by commas. Default: all.")] = "",
+    ids: Names = "",
     processes: Annotated[str, typer.Option(help="Numbers of processes.")] = "1,2,4",
     seconds: Annotated[float, typer.Option(min=0.1, help="Length of each measurement.")] = 3.0,
 ) -> None:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import chosen_names, one_of, pooled, tuning_seeds
+from smp_planner.benchmark.options import Jobs, Names, chosen_names, one_of, pooled, tuning_seeds
 from smp_planner.experiments import arm_settings
 from smp_planner.experiments.svgd_settings import VARIANTS, Ground, settings_columns, settings_rows
 from smp_planner.experiments.tables import report
@@ -60,7 +60,7 @@ def arm(
     out: Annotated[Path, typer.Option(help="Folder of the tables.")] = Path(
         "results/svgd_settings"
     ),
-    tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    tasks: Names = "",
     priors: Annotated[
         str,
         typer.Option(
@@ -70,7 +70,7 @@ def arm(
     difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "hard",
     scenes: Annotated[int, typer.Option(min=2, help="Of each task.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 20_000,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+    jobs: Jobs = 1,
 ) -> None:
     """Plan in scenes of the tasks with each setting; CSV, JSON and Markdown to OUT.
 

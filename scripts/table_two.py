@@ -10,7 +10,7 @@ from rich.console import Console
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.options import chosen_names, progress_bar
+from smp_planner.benchmark.options import Jobs, Names, chosen_names, progress_bar
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
@@ -25,12 +25,12 @@ _Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 @app.command()
 def run(
     out: _Out = Path("results/table_two"),
-    tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
-    methods: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    tasks: Names = "",
+    methods: Names = "",
     repetitions_: Annotated[
         int, typer.Option("--repetitions", min=1, help="Of each task and method.")
     ] = 20,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+    jobs: Jobs = 1,
 ) -> None:
     """Play what the folder does not hold yet, then write tables and figure.
 
@@ -71,7 +71,10 @@ def show(
         ),
     ] = None,
 ) -> None:
-    """Write tables and figure of what a folder holds, finished or not."""
+    """Write tables and figure of what a folder holds, finished or not.
+
+    Example: python scripts/table_two.py show --out results/table_two
+    """
     rows = running.read(out)
     if not rows:
         raise typer.BadParameter(f"{str(out)!r} holds no repetitions", param_hint="--out")

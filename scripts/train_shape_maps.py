@@ -12,13 +12,15 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from smp_gym.assets import asset_path
 from smp_planner.occupancy.shape_training import train_shape_networks
-
-DEFAULT_OUT = Path(__file__).parents[1] / "envs_assets" / "occupancy" / "shape_networks.npz"
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="File to write (.npz without pickle).")] = DEFAULT_OUT,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File to write (.npz without pickle); by default the packaged one."),
+    ] = None,
     hidden: Annotated[int, typer.Option(min=1, help="Units in each of the two layers.")] = 16,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of L-BFGS, each on new points.")] = 8,
     samples: Annotated[int, typer.Option(min=1, help="Points in each round.")] = 20_000,
@@ -27,6 +29,8 @@ def main(
     """Train one network per obstacle shape (box, cylinder, sphere): about two minutes on one core.
 
     Measure the result with scripts/measure_maps.py.
+
+    Example: python scripts/train_shape_maps.py --hidden 8 --out results/small.npz
     """
     console = Console()
 
@@ -34,9 +38,10 @@ def main(
         console.print(f"{shape:>8}  round {done}/{rounds}  RMS error {1e3 * error:.3f} mm")
 
     networks = train_shape_networks(hidden, rounds, samples=samples, seed=seed, report=report)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    networks.save(out)
-    console.print(f"wrote {out}")
+    path = out or asset_path("occupancy", "shape_networks.npz")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    networks.save(path)
+    console.print(f"wrote {path}")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import chosen_names, one_of, pooled, tuning_seeds
+from smp_planner.benchmark.options import Jobs, Names, chosen_names, one_of, pooled, tuning_seeds
 from smp_planner.benchmark.results_folder import write_json
 from smp_planner.experiments.baseline_tuning import CANDIDATES, cells_of, trial, trials_table
 
@@ -21,12 +21,12 @@ def main(
     out: Annotated[Path, typer.Option(help="JSON file of all trials.")] = Path(
         "results/tuned_baselines.json"
     ),
-    tasks: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
-    methods: Annotated[str, typer.Option(help="Separated by commas. Default: all.")] = "",
+    tasks: Names = "",
+    methods: Names = "",
     difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "medium",
     scenes: Annotated[int, typer.Option(min=1, help="Of each task.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 1000,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+    jobs: Jobs = 1,
 ) -> None:
     """Try all candidates and print them, the best of each task and method first.
 

@@ -18,7 +18,6 @@ from smp_gym.scene import Scene
 __all__ = [
     "FieldRecorder",
     "FrameRecorder",
-    "HistoryRecorder",
     "Moment",
     "Policy",
     "Recorder",
@@ -80,7 +79,9 @@ class Moment:
 
 
 Recorder = Callable[[Moment], None]
-"""Sees each moment of an episode once, in order, the reset's included."""
+"""Sees each moment of an episode once, in order, the reset's included.
+
+The ``append`` of a list is one: it keeps observations, actions, rewards and contacts (``info``)."""
 
 
 class FieldRecorder:
@@ -114,17 +115,6 @@ class FrameRecorder:
         """Render a frame."""
         if moment.env.render_mode is not None:
             self.frames.append(moment.env.render())  # type: ignore[arg-type]
-
-
-class HistoryRecorder:
-    """Records the moments themselves: observations, actions, rewards, contacts (in ``info``)."""
-
-    def __init__(self) -> None:
-        self.moments: list[Moment] = []
-
-    def __call__(self, moment: Moment) -> None:
-        """Keep the moment."""
-        self.moments.append(moment)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ import gymnasium
 import numpy as np
 
 from smp_gym.datasets.demonstrations import FORMAT_VERSION, Demonstrations
-from smp_gym.rollout import HistoryRecorder, Policy, rollout
+from smp_gym.registration import environment_id
+from smp_gym.rollout import Moment, Policy, rollout
 from smp_gym.scene import DIFFICULTIES, Scene
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def export_demonstrations(
         )
     if path.exists() and not overwrite:
         raise FileExistsError(f"there is a data set {dataset_id} in {path}: overwrite it, or not")
-    env = gymnasium.make(f"smp_gym/{demonstrations.task}-v0", difficulty=difficulty)
+    env = gymnasium.make(environment_id(demonstrations.task), difficulty=difficulty)
     episodes = []
     try:
         for number, scene in enumerate(demonstrations.scenes):
@@ -150,11 +151,11 @@ def _played(
     """Play one demonstration; raise RuntimeError unless it succeeds."""
     from minari.data_collector import EpisodeBuffer
 
-    history = HistoryRecorder()
-    played = rollout(env, policy, scene=scene, recorders=(history,))
+    moments: list[Moment] = []
+    played = rollout(env, policy, scene=scene, recorders=(moments.append,))
     if not played.success:
         raise RuntimeError(f"demonstration {number + 1} did not succeed: {played.info['failure']}")
-    moments, steps = history.moments, history.moments[1:]
+    steps = moments[1:]
     # None, which stands for no collision and for no seed, cannot be stored.
     kept = [key for key, value in played.info.items() if isinstance(value, bool | float | str)]
     return EpisodeBuffer(

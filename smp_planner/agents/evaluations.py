@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from stable_baselines3 import SAC
 
+from smp_gym.rollout import rollout
 from smp_planner.benchmark.summary import rate_interval
 
 __all__ = ["Evaluation", "draw_curve", "evaluate", "read_evaluations", "write_evaluations"]
@@ -59,15 +60,10 @@ def evaluate(model: SAC, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluati
     """
     successes = collisions = steps = 0
     for seed in seeds:
-        observation, info = env.reset(seed=seed)
-        over = False
-        while not over:
-            action, _ = model.predict(observation, deterministic=True)
-            observation, _, terminated, truncated, info = env.step(action)
-            steps += 1
-            over = terminated or truncated
-        successes += info["is_success"]
-        collisions += info["collided"]
+        played = rollout(env, model, seed=seed)
+        steps += played.steps
+        successes += played.success
+        collisions += played.info["collided"]
     rate = rate_interval(successes, len(seeds))
     return Evaluation(
         steps=model.num_timesteps,

@@ -6,7 +6,6 @@ stay that RRT-Connect solves, its plan executed with success in the physics.
 
 from __future__ import annotations
 
-import multiprocessing
 import platform
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -15,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import torch
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import FrozenEpisode, write_episodes
 from smp_gym.registration import environment_id
+from smp_gym.rollout import rollout
 from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
 from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, Scene
+from smp_planner.benchmark.worker_pool import workers
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = ["CROWDED", "certified_half", "make_lists", "solves"]
@@ -41,7 +41,6 @@ _PACKAGES = ("gymnasium", "numba", "numpy", "pybullet", "scipy", "torch")
 
 def solves(scene: Scene) -> bool:
     """Return whether RRT-Connect solves a scene, judged by the physics."""
-    torch.set_num_threads(1)
     env = gymnasium.make(environment_id(scene.task))
     try:
         for attempt in range(ATTEMPTS):
@@ -54,15 +53,11 @@ def solves(scene: Scene) -> bool:
 
 
 def _plays(env: gymnasium.Env[Any, Any], policy: PlannerPolicy, scene: Scene) -> bool:
-    observation, info = env.reset(options={"scene": scene})
-    state, over = None, False
-    while not over:
-        action, state = policy.predict(observation, state, deterministic=True)
-        if not state[0].plan.good.any():
-            return False
-        observation, _, terminated, truncated, info = env.step(action)
-        over = terminated or truncated
-    return bool(info["is_success"])
+    observation, _ = env.reset(options={"scene": scene})
+    plan = policy.plan(observation)
+    return (
+        bool(plan.good.any()) and rollout(env, policy.track(plan, plan.chosen), scene=scene).success
+    )
 
 
 def certified_half(
@@ -122,8 +117,7 @@ def make_lists(
     half = episodes // 2
     first = range(EVALUATION_SEEDS_START, EVALUATION_SEEDS_START + half)
     versions = {name: metadata.version(name) for name in _PACKAGES}
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with workers(jobs) as pool:
         for task, difficulty in cells:
             witness = [
                 FrozenEpisode("witness", seed, sample_scene(task, difficulty, seed))

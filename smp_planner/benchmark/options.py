@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
@@ -20,9 +18,12 @@ from rich.progress import (
 )
 
 from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
     "INTERRUPTED",
+    "Jobs",
+    "Names",
     "chosen_names",
     "one_of",
     "pooled",
@@ -33,6 +34,12 @@ __all__ = [
 
 INTERRUPTED = 130
 """Exit status of a command that the user interrupts, as shells have it."""
+
+Names = Annotated[str, typer.Option(help="Separated by commas. Default: all.")]
+"""Option for names, to be read by `chosen_names`."""
+
+Jobs = Annotated[int, typer.Option(min=1, help="Worker processes.")]
+"""Option for the number of worker processes."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -91,13 +98,13 @@ def tuning_seeds(seed: int, count: int, option: str = "--seed") -> range:
 
 @contextmanager
 def progress_bar(
-    title: str, total: int, console: Console, *, transient: bool = False
+    title: str, total: int | None, console: Console, *, transient: bool = False
 ) -> Iterator[tuple[Progress, TaskID]]:
     """Show a bar with a title, how many of how many are done, and the time that remains.
 
     Args:
         title: text before the bar.
-        total: how many there are.
+        total: how many there are; None if that is told later.
         console: to show it on.
         transient: take the bar away at the end.
 
@@ -134,9 +141,8 @@ def pooled(
         chunk: items that follow each other in one worker.
     """
     results = []
-    context = multiprocessing.get_context("spawn")
     with (
-        ProcessPoolExecutor(jobs, mp_context=context) as pool,
+        workers(jobs) as pool,
         progress_bar(title, len(items), console) as (progress, bar),
     ):
         for result in pool.map(function, items, chunksize=chunk):

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow, PlayMethods
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest
 from smp_planner.benchmark.results_folder import ResultsFolder
+from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
     "EpisodeFailedError",
     "WorkerDiedError",
-    "available_cores",
     "draw",
     "play_all",
     "play_missing",
@@ -29,8 +25,6 @@ __all__ = [
 Key = TypeVar("Key")
 Row = TypeVar("Row")
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
 
 class WorkerDiedError(RuntimeError):
     """A worker process ended without an answer (killed, or out of memory)."""
@@ -38,38 +32,6 @@ class WorkerDiedError(RuntimeError):
 
 class EpisodeFailedError(RuntimeError):
     """Playing an episode raised an exception; the message names the episode."""
-
-
-def available_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _prepare_worker() -> None:
-    """Leave Ctrl-C to the parent, and compute on one thread: workers share the cores."""
-    import torch
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(1)
-
-
-@contextmanager
-def _workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Open a pool of spawned processes whose numerical libraries use one thread each."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    context = multiprocessing.get_context("spawn")
-    try:
-        with ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker) as pool:
-            yield pool
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 class _Play(Generic[Key, Row]):
@@ -117,7 +79,7 @@ def play_all(
     """
     waiting = iter(keys)
     running: set[Future[Row]] = set()
-    with _workers(jobs) as pool:
+    with workers(jobs) as pool:
         try:
             while True:
                 while len(running) < 2 * jobs and (key := next(waiting, None)) is not None:
@@ -249,6 +211,6 @@ def draw(
     if not (figure or video):
         return []
     player = PlayMethods(manifest.specs)
-    with _workers(min(jobs, len(keys))) as pool:
+    with workers(min(jobs, len(keys))) as pool:
         futures = [pool.submit(draw_episode, player, key, folder, figure, video) for key in keys]
         return [path for future in futures for path in future.result()]

@@ -12,7 +12,6 @@ from smp_gym.robot.kinematics import JOINT_VELOCITY
 from smp_gym.rollout import (
     FieldRecorder,
     FrameRecorder,
-    HistoryRecorder,
     Waypoints,
     play,
     rollout,
@@ -51,21 +50,21 @@ def test_an_episode_is_that_of_a_plain_loop(env):
         rewards.append(reward)
         over = terminated or truncated
     assert info["collided"]
-    history = HistoryRecorder()
-    played = rollout(env, policy, scene=scene, recorders=(history,))
+    moments = []
+    played = rollout(env, policy, scene=scene, recorders=(moments.append,))
     assert played.steps == len(rewards)
     assert played.reward == sum(rewards)
     assert played.info == info
     assert played.success is False
-    assert [moment.reward for moment in history.moments[1:]] == rewards
-    for moment, expected in zip(history.moments, observations, strict=True):
+    assert [moment.reward for moment in moments[1:]] == rewards
+    for moment, expected in zip(moments, observations, strict=True):
         for key, vector in expected.items():
             np.testing.assert_array_equal(moment.observation[key], vector)
-    assert played.first is history.moments[0].observation
-    assert played.last is history.moments[-1].observation
-    assert [moment.step for moment in history.moments] == list(range(played.steps + 1))
-    assert history.moments[-1].terminated
-    assert not any(moment.terminated or moment.truncated for moment in history.moments[:-1])
+    assert played.first is moments[0].observation
+    assert played.last is moments[-1].observation
+    assert [moment.step for moment in moments] == list(range(played.steps + 1))
+    assert moments[-1].terminated
+    assert not any(moment.terminated or moment.truncated for moment in moments[:-1])
 
 
 def test_a_policy_gets_back_its_state_and_is_told_where_an_episode_starts(env):
@@ -83,8 +82,7 @@ def test_a_seed_draws_its_scene(env):
 def test_recorders_see_each_moment_once():
     env = gymnasium.make("smp_gym/DrawS-v0", render_mode="rgb_array", width=32, height=24)
     frames, reference = FrameRecorder(), FieldRecorder("reference")
-    history = HistoryRecorder()
-    rollout(env, Counting(joint=5), seed=0, steps=2, recorders=(frames, reference, history))
+    rollout(env, Counting(joint=5), seed=0, steps=2, recorders=(frames, reference))
     assert [frame.shape for frame in frames.frames] == [(24, 32, 3)] * 3
     moved = np.zeros((3, 6))
     moved[:, 5] = JOINT_VELOCITY[5] * CONTROL_PERIOD * np.arange(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -135,15 +135,17 @@ def _similarity_columns(part: str) -> tuple[_Column, ...]:
     )
 
 
+def _lines(titles: Iterable[str], rows: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
+    """Return a table in Markdown, a row for each method and its cells."""
+    header = ["method", *titles]
+    lines = [" | ".join(header), "|".join(["---"] * len(header))]
+    lines += [" | ".join((TITLES[method], *cells)) for method, cells in rows]
+    return [f"| {lines[0]} |", f"|{lines[1]}|", *(f"| {line} |" for line in lines[2:])]
+
+
 def _table(methods: Mapping[str, Any], columns: Sequence[_Column]) -> list[str]:
-    lines = [
-        "| method | " + " | ".join(title for title, _ in columns) + " |",
-        "|---" * (len(columns) + 1) + "|",
-    ]
-    for method, summary in methods.items():
-        cells = " | ".join(show(summary) for _, show in columns)
-        lines.append(f"| {TITLES[method]} | {cells} |")
-    return lines
+    rows = ((method, [show(of_it) for _, show in columns]) for method, of_it in methods.items())
+    return _lines((title for title, _ in columns), rows)
 
 
 _OVERVIEW: tuple[_Column, ...] = (
@@ -163,31 +165,21 @@ def _overview(tasks: Mapping[str, Any]) -> list[str]:
         task: {m: s for m, s in methods.items() if s["success"] is not None}
         for task, methods in tasks.items()
     }
+    methods = [m for m in METHODS if any(m in of_task for of_task in executed.values())]
     lines = []
     for title, show in _OVERVIEW:
-        lines += ["", title, "", "| method | " + " | ".join(tasks) + " |"]
-        lines.append("|---" * (len(tasks) + 1) + "|")
-        for method in METHODS:
-            if any(method in of_task for of_task in executed.values()):
-                cells = [
-                    show(of_task[method]) if method in of_task else "–"
-                    for of_task in executed.values()
-                ]
-                lines.append(f"| {TITLES[method]} | " + " | ".join(cells) + " |")
+        rows = [
+            (m, [show(of_task[m]) if m in of_task else "–" for of_task in executed.values()])
+            for m in methods
+        ]
+        lines += ["", title, "", *_lines(tasks, rows)]
     return lines
 
 
 def _paper_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
     names = ("wasserstein", "frechet", "mmd", "success", "mean_length", "min_length")
     titles = ("W.D", "F.D", "M.M.D", "Succ.Rate", "Avg.Traj.Len", "Min.Traj.Len")
-    return [
-        "| method | " + " | ".join(titles) + " |",
-        "|---" * (len(titles) + 1) + "|",
-        *(
-            f"| {TITLES[row['method']]} | " + " | ".join(row[name] for name in names) + " |"
-            for row in rows
-        ),
-    ]
+    return _lines(titles, ((row["method"], [row[name] for name in names]) for row in rows))
 
 
 def markdown(summary: Mapping[str, Any]) -> str:

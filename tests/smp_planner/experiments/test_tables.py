@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from smp_planner.experiments.tables import Column, Spread, print_table, summarise, write_tables
+from smp_planner.experiments.tables import (
+    Column,
+    Spread,
+    print_table,
+    report,
+    summarise,
+    write_tables,
+)
 
 ROWS = [
     {"method": "b", "free": 1.0, "distance": 2.5},
@@ -64,3 +71,14 @@ def test_errors() -> None:
         summarise([{"a": "x"}], [])
     with pytest.raises(ValueError, match="a must be a finite number or None, got nan"):
         summarise([{"a": float("nan")}], [])
+
+
+def test_a_report_is_printed_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summaries = report(ROWS, ["method"], COLUMNS, tmp_path, "t", "Three repetitions.", "A title")
+    assert summaries == summarise(ROWS, ["method"])
+    printed = capsys.readouterr().out
+    for text in ("A title", "5.0 ± 4.6 (1–10)", "Three repetitions.", "t.csv, .json and .md"):
+        assert text in printed
+    assert {path.name for path in tmp_path.iterdir()} == {"t.csv", "t.json", "t.md"}
