@@ -1,31 +1,17 @@
-"""What all tasks share: checks of scenes, the layout of goals, the scale of the dense reward."""
+"""What all tasks share: checks of scenes, the scale of the dense reward."""
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
-from smp_gym.observation import GOAL_LAYOUTS
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.scene import Scene
 
-__all__ = ["POTENTIAL_PER_METRE", "check_playable", "goal_columns"]
+__all__ = ["POTENTIAL_PER_METRE", "check_playable"]
 
 POTENTIAL_PER_METRE = 20.0
 """By how much the dense reward's potential rises on the way to the goal. The end of an episode, by
 failure too, forgives the way that is left: 2 m of it must count for much less than a failure."""
-
-
-@cache
-def goal_columns(task: str, name: str) -> slice:
-    """Return where a field stands in the goal vectors of a task."""
-    start = 0
-    for field in GOAL_LAYOUTS[task]:
-        if field.name == name:
-            return slice(start, start + field.size)
-        start += field.size
-    raise KeyError(name)
 
 
 def check_playable(scene: Scene) -> None:

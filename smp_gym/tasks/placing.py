@@ -10,16 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import Scene
-from smp_gym.tasks.common import check_playable, goal_columns
+from smp_gym.tasks.common import check_playable
+from smp_gym.tasks.goals import Field, GoalCodec, flag
 from smp_gym.tasks.status import Status
 
-__all__ = ["GRASP_FINGER_ANGLES", "PlacingTask"]
+__all__ = ["GRASP_FINGER_ANGLES", "PLACING_FLAGS", "SET_DOWN", "PlacingTask"]
 
 FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
 
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
+
+PLACING_FLAGS: tuple[Field, ...] = (flag("collided"), flag("released"), flag("at_rest"))
+"""Flags of the goals of tasks that set an object down, the last fields of their goal vectors."""
+
+SET_DOWN = {"collided": 0.0, "released": 1.0, "at_rest": 1.0}
+"""What such a task demands of them."""
 
 _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
 
@@ -36,12 +43,13 @@ class PlacingTask(ABC):
     """
 
     name: str
-    version: int = 0
+
+    goals: ClassVar[GoalCodec]
 
     support: ClassVar[str]
     """Group of the bodies on which the object may rest, which is also the kind of the goals."""
 
-    goals: ClassVar[int]
+    goal_count: ClassVar[int]
     """How many goals a scene has."""
 
     def check_scene(self, scene: Scene) -> None:
@@ -50,9 +58,9 @@ class PlacingTask(ABC):
             raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
         if scene.manipulated is None:
             raise ValueError("scene.manipulated must be an object to place, got None")
-        if len(scene.goals) != self.goals:
-            number = {1: "one", 2: "two"}[self.goals]
-            plural = "" if self.goals == 1 else "s"
+        if len(scene.goals) != self.goal_count:
+            number = {1: "one", 2: "two"}[self.goal_count]
+            plural = "" if self.goal_count == 1 else "s"
             raise ValueError(
                 f"scene.goals must hold {number} {self.support}{plural}, "
                 f"got {len(scene.goals)} goals"
@@ -90,7 +98,7 @@ class PlacingTask(ABC):
         return np.asarray(placed & ~self.success(achieved, desired))
 
     def _flag(self, name: str) -> int:
-        return int(goal_columns(self.name, name).start)
+        return self.goals.columns(name).start
 
     def _flags(self, status: Status) -> dict[str, float]:
         """Return the flags of the achieved goal by field name."""

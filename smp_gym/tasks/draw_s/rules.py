@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from smp_gym.robot.kinematics import PEN_TIP
-from smp_gym.scene import STROKE_POINTS, Obstacle, Scene
+from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
 from smp_gym.tasks.draw_s import stroke_kernels
+from smp_gym.tasks.goals import GoalCodec, flag, position
 from smp_gym.tasks.status import Status
 
 __all__ = [
     "CHECKPOINT_TOLERANCE",
     "COVERED_DISTANCE",
     "END_TOLERANCE",
-    "PEN_CONFIGURATION",
+    "RULES",
     "DrawS",
     "covered",
     "equal_arc",
@@ -40,16 +41,38 @@ COVERED_DISTANCE = 0.06
 """Metres: a checkpoint nearer than this to an obstacle's surface, or inside it, is covered: the pen
 has to go round there, and the checkpoint is not demanded."""
 
-PEN_CONFIGURATION = (-1.52, 2.96, 0.83, 0.63, 3.07, -0.61)
-"""Joint angles in which the hand closes on the pen before it is put at an episode's start, rad."""
-
 _SUBDIVISION = 3
 """Points into which the line between two neighbouring points of the trace is cut."""
 
-_STROKE = slice(0, 3 * STROKE_POINTS)
-_END = slice(3 * STROKE_POINTS - 3, 3 * STROKE_POINTS)
-_DEMANDED = slice(3 * STROKE_POINTS, 4 * STROKE_POINTS)
-_COLLIDED = 4 * STROKE_POINTS
+
+def _encode(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal: the stroke, and which of its checkpoints the pen must pass."""
+    stroke = scene.goals[0]
+    demanded = [float(flag) for flag in stroke.demanded]
+    return {"stroke": np.ravel(stroke.checkpoints), "demanded": demanded, "collided": 0.0}
+
+
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+    if desired["demanded"][-1] != 1.0:
+        raise ValueError("demand the stroke's end")
+    points = tuple((x, y, z) for x, y, z in desired["stroke"].reshape(-1, 3).tolist())
+    demanded = tuple(bool(flag > 0.5) for flag in desired["demanded"])
+    return (Goal(kind="stroke", position=points[-1], checkpoints=points, demanded=demanded),)
+
+
+_GOALS = GoalCodec(
+    (position("stroke", STROKE_POINTS), flag("demanded", STROKE_POINTS), flag("collided")),
+    _encode,
+    _decode,
+    with_object=False,
+)
+"""``stroke`` holds points at equal steps of arc, of what the pen has drawn so far or shall draw;
+``demanded`` says which of the latter count, and is 1 throughout in what was drawn."""
+
+_STROKE = _GOALS.columns("stroke")
+_END = slice(_STROKE.stop - 3, _STROKE.stop)
+_DEMANDED = _GOALS.columns("demanded")
+_COLLIDED = _GOALS.columns("collided").start
 
 
 def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
@@ -132,7 +155,8 @@ class DrawS:
     """
 
     name: str = "DrawS"
-    version: int = 0
+
+    goals: ClassVar[GoalCodec] = _GOALS
 
     @property
     def object_in_hand(self) -> FloatArray:
@@ -227,3 +251,6 @@ def _points(goals: FloatArray) -> FloatArray:
 
 def _reached(achieved: FloatArray, desired: FloatArray) -> NDArray[np.int64]:
     return passed_in_order(_points(achieved), _points(desired), desired[..., _DEMANDED])
+
+
+RULES = DrawS()

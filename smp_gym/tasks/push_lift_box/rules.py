@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.scene import ManipulatedObject, Scene
-from smp_gym.tasks.common import (
-    POTENTIAL_PER_METRE,
-    check_playable,
-    goal_columns,
-)
+from smp_gym.scene import Goal, ManipulatedObject, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
+from smp_gym.tasks.goals import GoalCodec, flag, position
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -26,6 +24,7 @@ __all__ = [
     "OBJECT_BEHIND",
     "PUSH_FROM",
     "PUSH_LENGTH",
+    "RULES",
     "START_CONFIGURATION",
     "START_SPREAD",
     "TARGET_BEARING",
@@ -88,9 +87,22 @@ HELD_OBJECT_POSE[:3, 3] = HELD_OBJECT_POSE[:3, :3] @ (
 )
 HELD_OBJECT_POSE.setflags(write=False)
 
-_POSITION = goal_columns("PushLiftBox", "object_position")
-_COLLIDED = goal_columns("PushLiftBox", "collided").start
-_HELD = goal_columns("PushLiftBox", "held").start
+
+def _encode(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal: where the box's centre shall be, in the hand."""
+    return {"object_position": scene.goals[0].position, "collided": 0.0, "held": 1.0}
+
+
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+    x, y, z = desired["object_position"].tolist()
+    return (Goal(kind="lift", position=(x, y, z)),)
+
+
+_GOALS = GoalCodec((position("object_position"), flag("collided"), flag("held")), _encode, _decode)
+
+_POSITION = _GOALS.columns("object_position")
+_COLLIDED = _GOALS.columns("collided").start
+_HELD = _GOALS.columns("held").start
 
 _CONTACTS = frozenset({("hand", "hand"), ("hand", "object"), ("object", "table")})
 
@@ -124,7 +136,8 @@ class PushLiftBox:
     """
 
     name: str = "PushLiftBox"
-    version: int = 0
+
+    goals: ClassVar[GoalCodec] = _GOALS
 
     @property
     def object_in_hand(self) -> FloatArray:
@@ -196,3 +209,6 @@ class PushLiftBox:
     def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
         """Return nothing: one target leaves nothing to tell."""
         return {}
+
+
+RULES = PushLiftBox()

@@ -1,4 +1,4 @@
-"""Ways of the arm along a stroke: the one that draws it, and others that leave it in bumps."""
+"""Trajectories along a stroke: the one that draws it, and others that leave it in bumps."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import PEN_TIP
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import Body
 from smp_gym.sampling.detours import smoothstep
+from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.witness import WITNESS_SAMPLES, within_limits
-from smp_gym.tasks.draw_s import rules as draw_s
+from smp_gym.tasks.draw_s.rules import equal_arc
 from smp_gym.tasks.draw_s.strokes import follow, moved
 
 __all__ = [
@@ -71,23 +71,13 @@ _MAX_ERROR = 1e-4
 
 
 @functools.lru_cache(maxsize=1)
-def drawing_body() -> Body:
+def drawing_body() -> MovingBody:
     """Return the demonstrated movements of DrawS, and arm, fingers and pen."""
     demonstrations = Demonstrations.load("DrawS")
-    parts = (
-        kinematics.arm_spheres(),
-        kinematics.finger_spheres(demonstrations.metadata["finger_angles"]),
+    return MovingBody.holding(
+        demonstrations.configurations,
+        demonstrations.metadata["finger_angles"],
         kinematics.pen_spheres(),
-    )
-    spheres = kinematics.concatenate(*parts)
-    moving = np.flatnonzero(spheres.link >= 2)
-    fingers = np.arange(len(parts[0]), len(parts[0]) + len(parts[1]))
-    return Body(
-        demonstrations=demonstrations.configurations,
-        spheres=spheres,
-        moving=moving,
-        swept=np.setdiff1d(moving, fingers),
-        pairs=kinematics.self_collision_pairs(spheres),
     )
 
 
@@ -157,7 +147,7 @@ def sample_stroke(rng: np.random.Generator) -> Stroke | None:
     tip = pose[:, :3, :3] @ PEN_TIP + pose[:, :3, 3]
     arms = tip[:, None] - links[:, 1:, :3, 3]
     jacobian = np.swapaxes(np.cross(links[:, 1:, :3, 2], arms), 1, 2)
-    return Stroke(draw_s.equal_arc(line), line, way, jacobian, pose[:, :3, 0])
+    return Stroke(equal_arc(line), line, way, jacobian, pose[:, :3, 0])
 
 
 @dataclass(frozen=True, eq=False)
