@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.robot.kinematics import PEN_TIP
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
-from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.draw_s import stroke_kernels
 from smp_gym.tasks.goals import GoalCodec, flag, position
 from smp_gym.tasks.status import Status
@@ -72,7 +72,6 @@ _GOALS = GoalCodec(
 _STROKE = _GOALS.columns("stroke")
 _END = slice(_STROKE.stop - 3, _STROKE.stop)
 _DEMANDED = _GOALS.columns("demanded")
-_COLLIDED = _GOALS.columns("collided").start
 
 
 def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
@@ -146,7 +145,7 @@ def _batch(values: FloatArray, shape: tuple[int, ...], axes: int) -> NDArray[np.
 
 
 @dataclass(frozen=True)
-class DrawS:
+class DrawS(CommonRules):
     """The task of `smp_gym/DrawS-v0`.
 
     The pen is part of the hand and draws all the time. Success: it is at the end of the stroke,
@@ -167,14 +166,12 @@ class DrawS:
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
-        if scene.task != self.name:
-            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        super().check_scene(scene)
         if scene.manipulated is not None:
             raise ValueError(f"scene.manipulated must be None, got {scene.manipulated!r}")
         if [goal.kind for goal in scene.goals] != ["stroke"]:
             kinds = ", ".join(goal.kind for goal in scene.goals)
             raise ValueError(f"scene.goals must hold one stroke, got {kinds}")
-        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
@@ -187,10 +184,6 @@ class DrawS:
             "demanded": np.ones(STROKE_POINTS),
             "collided": float(status.collided),
         }
-
-    def failure(self, status: Status) -> str:
-        """Return an empty string: as long as time is left, the S can be drawn anew."""
-        return ""
 
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals are reached.
@@ -214,14 +207,6 @@ class DrawS:
         ended[ended] = reached == STROKE_POINTS
         return ended
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
-        """Return whether goals (..., 129) tell of a collision, (...)."""
-        return achieved[..., _COLLIDED] > 0.5
-
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return False for all goals (..., 129): what was drawn amiss can be drawn anew."""
-        return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
-
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return minus the way that is left along the stroke, (...), 20 per metre.
 
@@ -238,10 +223,6 @@ class DrawS:
         distance = np.linalg.norm(_points(achieved)[..., -1, :] - point, axis=-1)
         remaining = np.take_along_axis(left, upcoming, axis=-1)[..., 0]
         return np.asarray(-POTENTIAL_PER_METRE * (distance + remaining))
-
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: goals tell no more than success."""
-        return {}
 
 
 def _points(goals: FloatArray) -> FloatArray:

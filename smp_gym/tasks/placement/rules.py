@@ -118,9 +118,5 @@ class Placement(PlacingTask):
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return -POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1)
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: one bin leaves nothing to tell."""
-        return {}
-
 
 RULES = Placement()

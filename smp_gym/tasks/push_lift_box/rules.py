@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import Goal, ManipulatedObject, Scene
-from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.goals import GoalCodec, flag, position
 from smp_gym.tasks.status import Status
 
@@ -101,7 +101,6 @@ def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tup
 _GOALS = GoalCodec((position("object_position"), flag("collided"), flag("held")), _encode, _decode)
 
 _POSITION = _GOALS.columns("object_position")
-_COLLIDED = _GOALS.columns("collided").start
 _HELD = _GOALS.columns("held").start
 
 _CONTACTS = frozenset({("hand", "hand"), ("hand", "object"), ("object", "table")})
@@ -127,7 +126,7 @@ def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArr
 
 
 @dataclass(frozen=True)
-class PushLiftBox:
+class PushLiftBox(CommonRules):
     """The task of `smp_gym/PushLiftBox-v0`.
 
     Success: the box's centre is within `TOLERANCE` of the target, the hand grips it, and nothing
@@ -146,8 +145,7 @@ class PushLiftBox:
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
-        if scene.task != self.name:
-            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        super().check_scene(scene)
         if scene.manipulated is None or scene.manipulated.position is None:
             raise ValueError(
                 "scene.manipulated must be a box with a position on the table, got "
@@ -167,7 +165,6 @@ class PushLiftBox:
                 f"the target must be at least {half + TOLERANCE} m above the table, so that the "
                 f"box must be lifted; got {scene.goals[0].position[2]}"
             )
-        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
@@ -181,10 +178,6 @@ class PushLiftBox:
             "held": float(status.held),
         }
 
-    def failure(self, status: Status) -> str:
-        """Return nothing: as long as there is time, the box can be pushed and grasped again."""
-        return ""
-
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., 5) are reached, (...)."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
@@ -192,23 +185,10 @@ class PushLiftBox:
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
-        """Return whether goals (..., 5) tell of a collision, (...)."""
-        collided: BoolArray = achieved[..., _COLLIDED] > 0.5
-        return collided
-
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return that no episode is over without success: a box that fell can be grasped again."""
-        return np.zeros(np.shape(achieved)[:-1], np.bool_)
-
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return minus the box's distance from its target, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return np.asarray(-POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1))
-
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: one target leaves nothing to tell."""
-        return {}
 
 
 RULES = PushLiftBox()
