@@ -15,9 +15,8 @@ from smp_gym.sampling.draws import Draw
 from smp_gym.sampling.family import Family, draw_family, member
 from smp_gym.sampling.obstacles import START_CLEARANCE, draw_candidates, vary
 from smp_gym.sampling.specification import DifficultySpecification
-from smp_gym.sampling.transfer import Transfer, carry, release_configuration
+from smp_gym.sampling.transfer import Query, carry
 from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
-from smp_gym.scene import Goal
 
 __all__ = ["block", "block_around_witness"]
 
@@ -40,9 +39,8 @@ _NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
 
 
 def _choices(
-    transfer: Transfer,
+    query: Query,
     specification: DifficultySpecification,
-    goals: tuple[Goal, ...],
     family: Family,
     others: FloatArray,
     able: BoolArray,
@@ -52,9 +50,8 @@ def _choices(
     """Yield choices of obstacles that block the mean and enough of the proposals.
 
     Args:
-        transfer: whose trajectories.
+        query: which transfer to which goal.
         specification: of these obstacles.
-        goals: all of the scene.
         family: of the trajectories to the goal.
         others: (K, 9) rows of obstacles that the scene holds besides.
         able: (N,) which members may serve as witness; it may change between choices.
@@ -73,9 +70,9 @@ def _choices(
     for _ in range(_ROUNDS if crowd else 1):
         if crowd:
             # What is left free after a choice shows where obstacles are missing.
-            pool = draw_candidates(transfer, family, free, goals, rng)
+            pool = draw_candidates(query, family, free, rng)
             candidates = candidates.joined(useful(pool))
-            pool = vary(transfer, goals, candidates.most_blocking(_PARENTS), rng)
+            pool = vary(query, candidates.most_blocking(_PARENTS), rng)
             candidates = candidates.joined(useful(pool))
         for _ in range(_MAX_CHOICES):
             choice = choose(
@@ -93,20 +90,16 @@ def _choices(
 
 
 def block_around_witness(
-    transfer: Transfer,
+    query: Query,
     specification: DifficultySpecification,
-    goal: Goal,
-    goals: tuple[Goal, ...],
     rng: np.random.Generator,
     before: Draw | None = None,
 ) -> Draw | None:
     """Draw obstacles between start and goal, and a witness; None if they do not fit together.
 
     Args:
-        transfer: whose movement leads there.
+        query: which transfer to which goal.
         specification: of these obstacles.
-        goal: where the movement ends.
-        goals: all of the scene.
         rng: source of all randomness.
         before: what was drawn for another goal: its witness stays one, and its obstacles are in the
             result, too.
@@ -114,30 +107,28 @@ def block_around_witness(
     Raises:
         UnreachableError: the goal is out of reach.
     """
-    configuration = release_configuration(transfer, goal)
     crowd = specification.obstacles > 0
-    counts = (transfer.proposals, transfer.wide) if crowd else (0, 0)
+    counts = (query.transfer.proposals, query.transfer.wide) if crowd else (0, 0)
     for _ in range(_FAMILIES if crowd else 1):
-        family = draw_family(transfer, goals, configuration, *counts, rng)
-        drawn = _place(transfer, specification, goals, family, rng, before)
+        family = draw_family(query, *counts, rng)
+        drawn = _place(query, specification, family, rng, before)
         if drawn is not None:
             return drawn
     return None
 
 
 def _place(
-    transfer: Transfer,
+    query: Query,
     specification: DifficultySpecification,
-    goals: tuple[Goal, ...],
     family: Family,
     rng: np.random.Generator,
-    before: Draw | None = None,
+    before: Draw | None,
 ) -> Draw | None:
     """Draw obstacles for a family and find its witness; None if too much is free or nothing."""
-    clearance = specification.clearance
+    transfer, clearance = query.transfer, specification.clearance
     others = _NO_ROWS if before is None else before.rows
     able = family.able & ~family.near(others, clearance).any(axis=0)
-    bodies = fixture_rows(goals)
+    bodies = fixture_rows(query.goals)
 
     def leaves_clear(trajectory: FloatArray, rows: FloatArray) -> BoolArray:
         return np.asarray(transfer.clearances(trajectory, rows, clearance) >= clearance)
@@ -151,7 +142,7 @@ def _place(
         kept = (clears & able).any(axis=1)
         return Candidates.guessed(family, rows[kept], clears[kept])
 
-    choices = _choices(transfer, specification, goals, family, others, able, useful, rng)
+    choices = _choices(query, specification, family, others, able, useful, rng)
     for rows, clears in choices:
         witness = None if before is None else before.witness
         if witness is not None and not leaves_clear(witness, rows).all():
@@ -161,16 +152,16 @@ def _place(
         for index in np.flatnonzero(alive):
             found = member(transfer, family, int(index))
             if is_witness(transfer, found, bodies, together, clearance):
-                return Draw(transfer.start, goals, together, found if witness is None else witness)
+                return Draw(
+                    transfer.start, query.goals, together, found if witness is None else witness
+                )
         able[alive] = False
     return None
 
 
 def block(
-    transfer: Transfer,
+    query: Query,
     specification: DifficultySpecification,
-    goal: Goal,
-    goals: tuple[Goal, ...],
     rng: np.random.Generator,
     others: FloatArray = _NO_ROWS,
 ) -> FloatArray | None:
@@ -180,19 +171,17 @@ def block(
     looks for a witness. None if nothing blocks enough.
 
     Args:
-        transfer: whose movement leads to the goal.
+        query: which transfer to which goal.
         specification: of these obstacles.
-        goal: where the movement ends.
-        goals: all of the scene.
         rng: source of all randomness.
         others: (K, 9) rows of obstacles that the scene holds besides.
 
     Raises:
         UnreachableError: the goal is out of reach.
     """
-    configuration = release_configuration(transfer, goal)
-    family = draw_family(transfer, goals, configuration, transfer.proposals, 0, rng)
-    end = carry(transfer, configuration, WITNESS_SAMPLES).mean(axis=0)[-1:]
+    transfer = query.transfer
+    family = draw_family(query, transfer.proposals, 0, rng)
+    end = carry(transfer, query.release, WITNESS_SAMPLES).mean(axis=0)[-1:]
 
     def useful(rows: FloatArray) -> Candidates:
         clear = transfer.clearances(end, rows, START_CLEARANCE) >= START_CLEARANCE
@@ -201,7 +190,7 @@ def block(
         return Candidates.guessed(family, rows, np.ones((len(rows), 1), np.bool_))
 
     one = np.ones(1, np.bool_)
-    choices = _choices(transfer, specification, goals, family, others, one, useful, rng)
+    choices = _choices(query, specification, family, others, one, useful, rng)
     for rows, _ in choices:
         return np.concatenate([others, rows])
     return None

@@ -11,9 +11,9 @@ from smp_gym.sampling import kernels
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.detours import detour_basis, detours
 from smp_gym.sampling.grid import Grid, near, rasterise
-from smp_gym.sampling.transfer import Transfer, carry
+from smp_gym.sampling.transfer import Query, Transfer, carry
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
-from smp_gym.scene import Goal, goal_boxes
+from smp_gym.scene import goal_boxes
 
 __all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member"]
 
@@ -62,24 +62,19 @@ class Family:
         return kernels.blocked_paths(paths, self.radius, rows, BLOCKING_DEPTH)
 
 
-def draw_family(
-    transfer: Transfer,
-    goals: tuple[Goal, ...],
-    configuration: FloatArray,
-    proposals: int,
-    wide: int,
-    rng: np.random.Generator,
-) -> Family:
-    """Draw the family of a goal.
+def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generator) -> Family:
+    """Draw the family of a query.
 
     Args:
-        transfer: whose family.
-        goals: all of the scene; their bodies must be left free.
-        configuration: (6,) rad, where all members end.
+        query: which transfer to which goal.
         proposals: how many detours of ordinary width.
         wide: how many wider ones.
         rng: source of all randomness.
+
+    Raises:
+        UnreachableError: the goal is out of reach.
     """
+    transfer, configuration = query.transfer, query.release
     demonstrations = len(transfer.demonstrations)
     base = rng.integers(demonstrations, size=proposals + wide)
     features = detour_basis(transfer.samples).shape[1]
@@ -95,7 +90,7 @@ def draw_family(
     grounded = np.isin(transfer.swept, transfer.moving)
     height = kernels.lowest(paths, np.where(grounded, radius, -np.inf))
     # The bin counts as solid here.
-    solids = np.array([to_solid_row(goal) for goal in goals if goal_boxes(goal)])
+    solids = np.array([to_solid_row(goal) for goal in query.goals if goal_boxes(goal)])
     solids = solids.reshape(-1, kernels.OBSTACLE_COLUMNS)
     clearance = np.minimum(
         height, kernels.least_clearances(paths, radius, solids, 1.1 * FIXTURE_CLEARANCE)

@@ -19,7 +19,7 @@ from smp_gym.sampling.draws import Draw
 from smp_gym.sampling.family import BLOCKING_DEPTH, Family, draw_family, member
 from smp_gym.sampling.furniture import Place, draw_furniture
 from smp_gym.sampling.obstacles import START_CLEARANCE
-from smp_gym.sampling.transfer import Transfer, release_configuration
+from smp_gym.sampling.transfer import Query
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import Goal
 
@@ -75,9 +75,7 @@ def _blocks_enough(family: Family, rows: FloatArray) -> bool:
 
 def furnish(
     kind: str,
-    transfer: Transfer,
-    goal: Goal,
-    goals: tuple[Goal, ...],
+    query: Query,
     rng: np.random.Generator,
     before: Draw | None = None,
 ) -> Draw | None:
@@ -85,9 +83,7 @@ def furnish(
 
     Args:
         kind: of the furniture.
-        transfer: whose movement leads there.
-        goal: where the movement ends.
-        goals: all of the scene.
+        query: which transfer to which goal.
         rng: source of all randomness.
         before: what was drawn for another goal: its witness stays one, and its furniture is in the
             result, too.
@@ -95,16 +91,16 @@ def furnish(
     Raises:
         UnreachableError: the goal is out of reach.
     """
-    configuration = release_configuration(transfer, goal)
-    transfer = replace(transfer, samples=_SAMPLES)
-    family = draw_family(transfer, goals, configuration, transfer.proposals, _WIDE, rng)
-    ends, points = (transfer.start[None], configuration[None]), _points_of(goals)
+    transfer = replace(query.transfer, samples=_SAMPLES)
+    query = replace(query, transfer=transfer)
+    family = draw_family(query, transfer.proposals, _WIDE, rng)
+    ends, points = (transfer.start[None], query.release[None]), _points_of(query.goals)
     x, y, z = (kinematics.end_effector_pose(transfer.start) @ transfer.held)[:3, 3].tolist()
-    place = Place(goal.position, (x, y, z))
+    place = Place(query.goal.position, (x, y, z))
     others = np.empty((0, kernels.OBSTACLE_COLUMNS)) if before is None else before.rows
     other = None if before is None else before.witness
     able = family.able & ~family.near(others, _CLEARANCE).any(axis=0)
-    bodies = fixture_rows(goals)
+    bodies = fixture_rows(query.goals)
 
     def clearance(trajectory: FloatArray, rows: FloatArray) -> float:
         return float(transfer.clearances(trajectory, rows, 1.0).min())
@@ -126,5 +122,7 @@ def furnish(
         for index in alive[:_MEMBERS]:
             witness = member(transfer, family, int(index))
             if is_witness(transfer, witness, bodies, together, _CLEARANCE):
-                return Draw(transfer.start, goals, together, witness if other is None else other)
+                return Draw(
+                    transfer.start, query.goals, together, witness if other is None else other
+                )
     return None

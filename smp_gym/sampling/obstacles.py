@@ -11,8 +11,8 @@ from smp_gym.sampling import kernels
 from smp_gym.sampling.choice import widths
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.family import Family
-from smp_gym.sampling.transfer import Transfer
-from smp_gym.scene import SHAPES, Goal
+from smp_gym.sampling.transfer import Query
+from smp_gym.scene import SHAPES
 
 __all__ = [
     "BASE_DISTANCE",
@@ -50,14 +50,10 @@ _CHILDREN = 150
 
 
 def draw_candidates(
-    transfer: Transfer,
-    family: Family,
-    proposals: BoolArray,
-    goals: tuple[Goal, ...],
-    rng: np.random.Generator,
+    query: Query, family: Family, proposals: BoolArray, rng: np.random.Generator
 ) -> FloatArray:
     """Return rows of obstacles near the paths of (P,) proposals, off table, goals and start."""
-    count = _CANDIDATES
+    transfer, count = query.transfer, _CANDIDATES
     pool = np.flatnonzero(proposals)
     if not len(pool):
         return np.empty((0, kernels.OBSTACLE_COLUMNS))
@@ -66,7 +62,7 @@ def draw_candidates(
     hand = np.flatnonzero(transfer.spheres.link[transfer.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     rows = draw_rows(family.paths[member, sample, sphere], family.radius[sphere], 2.0, rng)
-    return rows[_fits(transfer, goals, rows)]
+    return rows[_fits(query, rows)]
 
 
 def draw_rows(
@@ -93,9 +89,7 @@ def draw_rows(
     return np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
 
 
-def vary(
-    transfer: Transfer, goals: tuple[Goal, ...], rows: FloatArray, rng: np.random.Generator
-) -> FloatArray:
+def vary(query: Query, rows: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return rows of obstacles that resemble the given ones, but are larger and turned anew."""
     count = _CHILDREN if len(rows) else 0
     children = rows[rng.integers(max(1, len(rows)), size=count)]
@@ -106,7 +100,7 @@ def vary(
     children[:, 3] = np.where(on_table, children[:, 8], children[:, 3])
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     children[:, 4], children[:, 5] = np.cos(yaw), np.sin(yaw)
-    return children[_fits(transfer, goals, children)]
+    return children[_fits(query, children)]
 
 
 def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
@@ -117,12 +111,13 @@ def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
     return size
 
 
-def _fits(transfer: Transfer, goals: tuple[Goal, ...], rows: FloatArray) -> BoolArray:
+def _fits(query: Query, rows: FloatArray) -> BoolArray:
     """Return which obstacles are off base, table, goals and start."""
     fits: BoolArray = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
     fits &= rows[:, 3] >= rows[:, 8]
     width = widths(rows)
-    for goal in goals:
+    transfer = query.transfer
+    for goal in query.goals:
         aside = np.abs(rows[:, 1:3] - np.asarray(goal.position[:2])).max(axis=1)
         fits &= aside >= to_solid_row(goal)[6] + transfer.goal_clearance + width
     start = transfer.start[None]

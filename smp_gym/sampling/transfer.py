@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from smp_gym.sampling.detours import resample, smoothstep
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.scene import Configuration, Goal, ManipulatedObject
 
-__all__ = ["Transfer", "carry", "make_transfer", "release_configuration"]
+__all__ = ["Query", "Transfer", "carry", "make_transfer", "release_configuration"]
 
 FloatArray = NDArray[np.float64]
 
@@ -101,6 +102,31 @@ def release_configuration(transfer: Transfer, goal: Goal) -> FloatArray:
     seed = transfer.demonstrations[:, -1].mean(axis=0)
     seed[0] -= turn
     return kinematics.inverse_kinematics(center - rotation @ held, rotation, seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """What is to be done in a scene: one transfer, to one of its goals.
+
+    Attributes:
+        transfer: the movement that leads there.
+        goals: all of the scene; the bodies of all must be left free.
+        number: index of the goal in which the transfer ends.
+    """
+
+    transfer: Transfer
+    goals: tuple[Goal, ...]
+    number: int = 0
+
+    @property
+    def goal(self) -> Goal:
+        """The goal in which the transfer ends."""
+        return self.goals[self.number]
+
+    @cached_property
+    def release(self) -> FloatArray:
+        """(6,) rad, the configuration in which it ends; UnreachableError if it is out of reach."""
+        return release_configuration(self.transfer, self.goal)
 
 
 def carry(transfer: Transfer, goal: FloatArray, samples: int) -> FloatArray:

@@ -16,7 +16,7 @@ from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
-from smp_gym.sampling.transfer import Transfer, make_transfer
+from smp_gym.sampling.transfer import Query, Transfer, make_transfer
 from smp_gym.scene import Goal, Obstacle
 from smp_gym.tasks.double_sided_placement.rules import (
     HELD_OBJECT_POSE,
@@ -70,8 +70,8 @@ def demonstrated_transfers() -> tuple[Transfer, Transfer]:
     return one, other
 
 
-def _draw_pads(rng: np.random.Generator) -> tuple[Goal, ...]:
-    """Draw a pad on either side."""
+def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
+    """Draw a pad on either side, and which of them comes first."""
     pads = []
     for x, y, _ in NOMINAL_PADS:
         radius = PAD_SHIFT * np.sqrt(rng.uniform())
@@ -79,7 +79,9 @@ def _draw_pads(rng: np.random.Generator) -> tuple[Goal, ...]:
         z = rng.uniform(PAD_LOWEST, PAD_TOP)
         position = (x + float(radius * np.cos(angle)), y + float(radius * np.sin(angle)), float(z))
         pads.append(Goal(kind="pad", position=position))
-    return tuple(pads)
+    one, other = demonstrated_transfers()
+    queries = Query(one, tuple(pads), 0), Query(other, tuple(pads), 1)
+    return queries if rng.integers(2) == 0 else queries[::-1]
 
 
 def _specifications(
@@ -93,20 +95,19 @@ def _specifications(
 def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw two pads, obstacles on both sides and a witness; None if they do not fit together.
 
-    One side, drawn at random, is sure to be open, and the witness goes there. The other one either
+    The first side is sure to be open, and the witness goes there. The other one either
     has a witness, too, or is closed off.
     """
-    goals, transfers = _draw_pads(rng), demonstrated_transfers()
-    side = int(rng.integers(2))
+    first, second = _draw_queries(rng)
     one, other = _specifications(difficulty)
-    drawn = block_around_witness(transfers[side], one, goals[side], goals, rng)
+    drawn = block_around_witness(first, one, rng)
     if drawn is None or drawn.witness is None:
         return None
     if other is not None:
-        return block_around_witness(transfers[1 - side], other, goals[1 - side], goals, rng, drawn)
-    rows = _stopper(goals[1 - side], rng)
+        return block_around_witness(second, other, rng, drawn)
+    rows = _stopper(second.goal, rng)
     enough = max(one.clearance, START_CLEARANCE)
-    if transfers[side].clearances(drawn.witness, rows, 1.0).min() < enough:
+    if first.transfer.clearances(drawn.witness, rows, 1.0).min() < enough:
         return None
     return replace(drawn, rows=np.concatenate([drawn.rows, rows]))
 
@@ -121,28 +122,26 @@ def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
 
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    transfers, goals = demonstrated_transfers(), _draw_pads(rng)
-    side = int(rng.integers(2))
+    first, second = _draw_queries(rng)
     one, other = _specifications(difficulty)
-    rows = block(transfers[side], one, goals[side], goals, rng)
+    rows = block(first, one, rng)
     if rows is None:
         return None
     if other is None:
-        rows = np.concatenate([rows, _stopper(goals[1 - side], rng)])
+        rows = np.concatenate([rows, _stopper(second.goal, rng)])
     else:
-        rows = block(transfers[1 - side], other, goals[1 - side], goals, rng, rows)
-    return None if rows is None else Draw(transfers[side].start, goals, rows)
+        rows = block(second, other, rng, rows)
+    return None if rows is None else Draw(first.transfer.start, first.goals, rows)
 
 
 def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
-    """Draw furniture on both sides, both with a witness; the scene's is of one drawn at random."""
-    goals, transfers = _draw_pads(rng), demonstrated_transfers()
-    side = int(rng.integers(2))
-    drawn = furnish(kind, transfers[side], goals[side], goals, rng)
+    """Draw furniture on both sides, both with a witness; the scene's is that of the first."""
+    first, second = _draw_queries(rng)
+    drawn = furnish(kind, first, rng)
     if drawn is None:
         return None
     for _ in range(_SIDE_DRAWS):
-        both = furnish(kind, transfers[1 - side], goals[1 - side], goals, rng, drawn)
+        both = furnish(kind, second, rng, drawn)
         if both is not None:
             return both
     return None

@@ -11,7 +11,7 @@ from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.specification import SPECIFICATIONS
-from smp_gym.sampling.transfer import Transfer, make_transfer
+from smp_gym.sampling.transfer import Query, Transfer, make_transfer
 from smp_gym.scene import Goal
 from smp_gym.tasks.placement.rules import (
     BIN_LOWER,
@@ -35,25 +35,24 @@ def demonstrated_transfer() -> Transfer:
     )
 
 
-def _draw_bin(rng: np.random.Generator) -> Goal:
+def _draw_query(rng: np.random.Generator) -> Query:
+    """Draw a bin."""
     x, y, z = rng.uniform(BIN_LOWER, BIN_UPPER)
-    return Goal(position=(float(x), float(y), float(z)))
+    return Query(demonstrated_transfer(), (Goal(position=(float(x), float(y), float(z))),))
 
 
 def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    goal, specification = _draw_bin(rng), SPECIFICATIONS[difficulty]
-    return block_around_witness(demonstrated_transfer(), specification, goal, (goal,), rng)
+    return block_around_witness(_draw_query(rng), SPECIFICATIONS[difficulty], rng)
 
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    transfer, goal = demonstrated_transfer(), _draw_bin(rng)
-    rows = block(transfer, SPECIFICATIONS[difficulty], goal, (goal,), rng)
-    return None if rows is None else Draw(transfer.start, (goal,), rows)
+    query = _draw_query(rng)
+    rows = block(query, SPECIFICATIONS[difficulty], rng)
+    return None if rows is None else Draw(query.transfer.start, query.goals, rows)
 
 
 def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
-    goal = _draw_bin(rng)
-    return furnish(kind, demonstrated_transfer(), goal, (goal,), rng)
+    return furnish(kind, _draw_query(rng), rng)
 
 
 SAMPLER = SceneSampler(_draw, _place, _furnish)
