@@ -54,7 +54,7 @@ TASKS: tuple[str, ...]
 """Names of the tasks, as they stand in the environment ids; looked up in `smp_gym.tasks`."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
-"""Difficulties, with 0 / 2 / 4 / 6 obstacles on the way to a goal."""
+"""Difficulties, with 0 / 2 / 4 / 6 obstacles before a goal."""
 
 FAMILIES = ("obstacles", "shelf", "box", "cage", "table")
 """Families of scenes: single obstacles, as many as the difficulty says, or a kind of furniture."""

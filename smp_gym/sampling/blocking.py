@@ -138,7 +138,7 @@ def _place(
             rows = rows[leaves_clear(before.witness[::_GLANCE], rows)]
             rows = rows[apart(rows, others).all(axis=1)]
         clears = ~family.near(rows, clearance)
-        # What stands in everybody's way, at the start or before the goal, is of no use.
+        # What blocks every member, at the start or before the goal, is of no use.
         kept = (clears & able).any(axis=1)
         return Candidates.guessed(family, rows[kept], clears[kept])
 

@@ -26,6 +26,10 @@ BLOCKING_DEPTH = 0.015
 The spheres stand out of the arm's shapes by about that much."""
 
 
+_WIDEST = 2.5
+"""Wide detours are up to so many times as wide as ordinary ones."""
+
+
 @dataclass(frozen=True, eq=False)
 class Family:
     """Trajectories for one goal: mean of the carried demonstrations, these, and their detours.
@@ -79,7 +83,7 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
     base = rng.integers(demonstrations, size=proposals + wide)
     features = detour_basis(transfer.samples).shape[1]
     numbers = rng.standard_normal((len(base), features, 6))
-    numbers[proposals:] *= rng.uniform(1.0, transfer.widest, size=(wide, 1, 1))
+    numbers[proposals:] *= rng.uniform(1.0, _WIDEST, size=(wide, 1, 1))
     carried = carry(transfer, configuration, transfer.samples)
     mean = carried.mean(axis=0, keepdims=True)
     trajectories = np.concatenate(

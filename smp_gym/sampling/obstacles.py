@@ -30,8 +30,8 @@ BoolArray = NDArray[np.bool_]
 
 _HAND_LINK = 5
 BASE_DISTANCE = 0.35
-"""Obstacles stand in the way of the hand: near spheres from this link on, and so far (m) from the
-axis of the base. Nearer to it they would block more, but the shoulder, not the way."""
+"""Obstacles stand before the hand: near spheres from this link on, and so far (m) from the axis of
+the base. Nearer to it they would block more, but the shoulder, not the hand."""
 
 START_CLEARANCE = 0.05
 """Obstacles: distance (m) to the robot at the start."""

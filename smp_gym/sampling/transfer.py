@@ -32,8 +32,7 @@ class Transfer(MovingBody):
         goal_clearance: m, of obstacles from the bodies of goals, sideways.
         samples: of each member of a family.
         proposals: how many detours of ordinary width are drawn.
-        wide: how many wide ones, up to `widest` times as wide.
-        widest: as a multiple of ordinary width.
+        wide: how many wide ones.
     """
 
     start: FloatArray
@@ -45,7 +44,6 @@ class Transfer(MovingBody):
     samples: int = 20
     proposals: int = 104
     wide: int = 144
-    widest: float = 2.5
 
 
 def make_transfer(

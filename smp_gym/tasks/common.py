@@ -16,8 +16,8 @@ from smp_gym.tasks.status import Status
 __all__ = ["POTENTIAL_PER_METRE", "CommonRules"]
 
 POTENTIAL_PER_METRE = 20.0
-"""By how much the dense reward's potential rises on the way to the goal. The end of an episode, by
-failure too, forgives the way that is left: 2 m of it must count for much less than a failure."""
+"""By how much the dense reward's potential rises towards the goal. The end of an episode, by
+failure too, forgives the distance left: 2 m of it must count for much less than a failure."""
 
 
 FloatArray = NDArray[np.floating[Any]]
@@ -31,6 +31,7 @@ class CommonRules:
     name: str
 
     goals: ClassVar[GoalCodec]
+    object_in_hand: ClassVar[FloatArray]
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if the scene is another task's, something moves or is out of reach."""

@@ -158,6 +158,8 @@ def test_placing_without_a_witness_is_a_pure_function():
 
 def test_the_tip_of_a_way_is_that_of_kinematics():
     stroke = sample_stroke(np.random.default_rng(0))
-    np.testing.assert_allclose(tip_path(stroke.way)[:, 0], pen_path(stroke.way), atol=1e-12)
+    np.testing.assert_allclose(
+        tip_path(stroke.trajectory)[:, 0], pen_path(stroke.trajectory), atol=1e-12
+    )
     # From where the movement has joined the stroke on, the pen is on it.
-    np.testing.assert_allclose(pen_path(stroke.way)[32:], stroke.line[32:], atol=1e-4)
+    np.testing.assert_allclose(pen_path(stroke.trajectory)[32:], stroke.line[32:], atol=1e-4)

@@ -103,11 +103,7 @@ class DoubleSidedPlacement(PlacingTask):
     support: ClassVar[str] = "pad"
     goal_count: ClassVar[int] = 2
     goals: ClassVar[GoalCodec] = _GOALS
-
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the object in the end-effector frame at the start."""
-        return HELD_OBJECT_POSE
+    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""

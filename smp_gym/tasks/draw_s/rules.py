@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from smp_gym.robot.kinematics import PEN_TIP
+from smp_gym.robot.pen import PEN_POSE
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.draw_s import stroke_kernels
@@ -156,13 +156,7 @@ class DrawS(CommonRules):
     name: str = "DrawS"
 
     goals: ClassVar[GoalCodec] = _GOALS
-
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the pen's tip in the end-effector frame."""
-        pose = np.eye(4)
-        pose[:3, 3] = PEN_TIP
-        return pose
+    object_in_hand: ClassVar[FloatArray] = PEN_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -208,7 +202,7 @@ class DrawS(CommonRules):
         return ended
 
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return minus the way that is left along the stroke, (...), 20 per metre.
+        """Return minus the length that is left of the stroke, (...), 20 per metre.
 
         It is the distance of the pen to the next demanded checkpoint, and from there the length of
         the stroke.

@@ -3,10 +3,10 @@
 With a witness: it follows the episode's stroke but for bumps, short stretches on which the pen is
 led aside. Bump after bump is drawn, until obstacles are found that stand on the stroke there, leave
 the witness its clearance, and cover the checkpoints that it misses there. Of these, and of others
-beside the stroke, those are taken that block most other ways with bumps. The task's own rule has
-the last word.
+beside the stroke, those are taken that block most other trajectories with bumps. The task's own
+rule has the last word.
 
-Without one, obstacles on and beside the stroke are taken that block most ways with bumps.
+Without one, obstacles on and beside the stroke are taken that block most trajectories with bumps.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _BUMPS = {"easy": 2, "medium": 3, "hard": 3}
 
 _SAMPLES = 32
 _FAMILY = 64
-"""Samples of the ways that obstacles are compared by, and number of these ways."""
+"""Samples of the trajectories that obstacles are compared by, and number of these trajectories."""
 
 _ON_STROKE = 48
 _BESIDE = 96
@@ -120,7 +120,7 @@ def _draw_rows(
     rows = rows[kept]
     ends = kernels.point_distances(stroke.checkpoints[[0, -1]], rows)
     rows = rows[ends.min(axis=1) >= _END_DISTANCE]
-    clear = body.clearances(stroke.way[:1], rows, START_CLEARANCE)
+    clear = body.clearances(stroke.trajectory[:1], rows, START_CLEARANCE)
     return rows[clear >= START_CLEARANCE]
 
 
@@ -158,23 +158,25 @@ def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
     return np.asarray(distance < draw_s.COVERED_DISTANCE)
 
 
-def _keeps_clear(body: MovingBody, way: FloatArray, rows: FloatArray, enough: float) -> BoolArray:
-    """Return from which obstacles (M,) every other sample of a way (T, 6) rad keeps a distance."""
+def _keeps_clear(
+    body: MovingBody, trajectory: FloatArray, rows: FloatArray, enough: float
+) -> BoolArray:
+    """Return from which obstacles (M,) every other sample of a trajectory keeps a distance."""
     kept = np.ones(len(rows), np.bool_)
     # A glance at few samples spares the close look at most.
     for stride in (20, 2):
-        kept[kept] = body.clearances(way[::stride], rows[kept], enough) >= enough
+        kept[kept] = body.clearances(trajectory[::stride], rows[kept], enough) >= enough
     return kept
 
 
 @dataclass(frozen=True, eq=False)
 class _Bumpy:
-    """A way with bumps, (200, 6) rad, and obstacles that it avoids: (M, 9) rows, (M,) whose bump.
+    """A trajectory with bumps, (200, 6) rad, and (M, 9) obstacles that it avoids, (M,) whose bump.
 
     Obstacles beside the stroke belong to no bump, -1.
     """
 
-    way: FloatArray
+    trajectory: FloatArray
     rows: FloatArray
     bump: IntArray
 
@@ -182,49 +184,49 @@ class _Bumpy:
 def _draw_bumpy(
     body: MovingBody, stroke: Stroke, bumps: int, enough: float, rng: np.random.Generator
 ) -> _Bumpy | None:
-    """Draw a way with bumps and obstacles at least `enough` metres off it; None if it fails.
+    """Draw a trajectory with bumps and obstacles at least `enough` metres off it; None if it fails.
 
     Each of its bumps has obstacles on the stroke that cover all checkpoints missed there.
     """
     centers = sample_centers(1, bumps, rng)[0]
-    way = stroke.way
+    trajectory = stroke.trajectory
     rows = np.empty((0, kernels.OBSTACLE_COLUMNS))
     bump = np.empty(0, np.int64)
     for k, center in enumerate(centers):
         # Where later bumps will be, nothing is known yet.
         known = (np.abs(PHASES - centers[k + 1 :, None]) > BUMP_HALF_WIDTH[1]).all(axis=0)
         drawn = lead_aside(stroke, np.full((_MAX_BUMPS, 1), center), rng)
-        ways = drawn.along(PHASES)
-        for n in np.flatnonzero(within_limits(way + ways)):
-            added = ways[n]
+        trajectories = drawn.along(PHASES)
+        for n in np.flatnonzero(within_limits(trajectory + trajectories)):
+            added = trajectories[n]
             aside = np.tile(drawn.aside[n], (_ON_STROKE, 1))
             fresh = _draw_on_stroke(body, stroke, center, aside, rng)
-            missed = _missed(stroke, stroke.way + added)
+            missed = _missed(stroke, stroke.trajectory + added)
             fresh = fresh[~(missed & ~_covered(stroke, fresh)).any(axis=1)]
             if not len(fresh):
                 continue
             found = np.concatenate([rows, fresh])
             whose = np.concatenate([bump, np.full(len(fresh), k)])
-            kept = _keeps_clear(body, (way + added)[known], found, enough)
+            kept = _keeps_clear(body, (trajectory + added)[known], found, enough)
             found, whose = found[kept], whose[kept]
             if len(np.unique(whose)) == k + 1:
-                way, rows, bump = way + added, found, whose
+                trajectory, rows, bump = trajectory + added, found, whose
                 break
         else:
             return None
     beside = _draw_beside(body, stroke, centers, rng)
     rows = np.concatenate([rows, beside])
     bump = np.concatenate([bump, np.full(len(beside), -1)])
-    kept = _keeps_clear(body, way, rows, enough)
-    return _Bumpy(way, rows[kept], bump[kept])
+    kept = _keeps_clear(body, trajectory, rows, enough)
+    return _Bumpy(trajectory, rows[kept], bump[kept])
 
 
 def _grid(body: MovingBody, stroke: Stroke, bumps: int, rng: np.random.Generator) -> Grid:
-    """Return the grid of ways along a stroke, the first without bumps."""
+    """Return the grid of trajectories along a stroke, the first without bumps."""
     aside = lead_aside(stroke, sample_centers(_FAMILY - 1, bumps, rng), rng)
-    ways = np.repeat(resample(stroke.way[None], _SAMPLES), _FAMILY, axis=0)
-    ways[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))
-    return rasterise(body.paths(ways, body.swept), body.spheres.radius[body.swept])
+    trajectories = np.repeat(resample(stroke.trajectory[None], _SAMPLES), _FAMILY, axis=0)
+    trajectories[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))
+    return rasterise(body.paths(trajectories, body.swept), body.spheres.radius[body.swept])
 
 
 def _choose(
@@ -241,7 +243,7 @@ def _choose(
     Args:
         rows: (M, 9) to choose from.
         bump: (M,) at which bump each is on the stroke, or -1.
-        blocks: (M, N), which ways each blocks.
+        blocks: (M, N), which trajectories each blocks.
         covers: (M, 32), which checkpoints each covers.
         missed: (32,), which checkpoints the chosen must cover.
         bumps: how many there are.
@@ -259,7 +261,7 @@ def _choose(
         hidden = covers[chosen].any(axis=0)
         allowed &= (covers | hidden).sum(axis=1) <= covers.shape[1] - _LEAST_DEMANDED
         weight = REPEATED ** blocks[chosen].sum(axis=0)
-        # Coverage of what is missed counts most, then how many ways are blocked.
+        # Coverage of what is missed counts most, then how many trajectories are blocked.
         worth = blocks.shape[1] * (covers & missed & ~hidden).sum(axis=1)
         worth = np.where(allowed, worth + (blocks * weight).sum(axis=1), -1.0)
         if not len(worth) or worth.max() < 0.0:
@@ -277,9 +279,9 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     bodies = np.array([to_row(TABLE)])
     if specification.obstacles == 0:
         none = np.empty((0, kernels.OBSTACLE_COLUMNS))
-        if not is_witness(body, stroke.way, bodies, none, 0.0):
+        if not is_witness(body, stroke.trajectory, bodies, none, 0.0):
             return None
-        return _drawn(stroke, np.ones(len(stroke.checkpoints), np.bool_), none, stroke.way)
+        return _drawn(stroke, np.ones(len(stroke.checkpoints), np.bool_), none, stroke.trajectory)
     bumps = _BUMPS[difficulty]
     grid = None
     for _ in range(_MAX_WITNESSES):
@@ -292,7 +294,7 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
             found.bump,
             near(grid, found.rows, -BLOCKING_DEPTH, _FAMILY),
             _covered(stroke, found.rows),
-            _missed(stroke, found.way),
+            _missed(stroke, found.trajectory),
             bumps,
             specification.obstacles,
         )
@@ -300,12 +302,12 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
             continue
         rows = found.rows[chosen]
         hidden = draw_s.covered(stroke.checkpoints, [to_obstacle(row) for row in rows])
-        trace = draw_s.equal_arc(tip_path(found.way)[:, 0])
+        trace = draw_s.equal_arc(tip_path(found.trajectory)[:, 0])
         passed = draw_s.passed_in_order(trace, stroke.checkpoints, 1.0 - hidden)
         if passed == len(hidden) and is_witness(
-            body, found.way, bodies, rows, specification.clearance
+            body, found.trajectory, bodies, rows, specification.clearance
         ):
-            return _drawn(stroke, ~hidden, rows, found.way)
+            return _drawn(stroke, ~hidden, rows, found.trajectory)
     return None
 
 
@@ -319,7 +321,7 @@ def _drawn(
         checkpoints=points,
         demanded=tuple(demanded.tolist()),
     )
-    return Draw(stroke.way[0], (goal,), rows, witness, manipulated=None)
+    return Draw(stroke.trajectory[0], (goal,), rows, witness, manipulated=None)
 
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
@@ -335,7 +337,7 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     numbers = [*range(bumps), -1]
     bump = np.repeat(numbers, [len(part) for part in (*parts, beside)])
     # Every trajectory ends where this one does.
-    clear = body.clearances(stroke.way[-1:], rows, START_CLEARANCE) >= START_CLEARANCE
+    clear = body.clearances(stroke.trajectory[-1:], rows, START_CLEARANCE) >= START_CLEARANCE
     rows, bump = rows[clear], bump[clear]
     blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _FAMILY)
     covers = _covered(stroke, rows)

@@ -87,11 +87,7 @@ class Placement(PlacingTask):
     support: ClassVar[str] = "bin"
     goal_count: ClassVar[int] = 1
     goals: ClassVar[GoalCodec] = _GOALS
-
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the object in the end-effector frame at the start."""
-        return HELD_OBJECT_POSE
+    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
 
     def achieved_goal(self, status: Status) -> dict[str, Any]:
         """Return the values of the achieved goal by field name."""

@@ -112,15 +112,15 @@ def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArr
     Args:
         position: (3,) m, the box's centre before the push.
         yaw: of the box, rad.
-        shares: (N,) of the way: 0 behind the box, 1 at the end of the push.
+        shares: (N,) of the distance: 0 behind the box, 1 at the end of the push.
     """
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     aside = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     approach = np.cos(HAND_TILT) * ahead - np.array([0.0, 0.0, np.sin(HAND_TILT)])
-    way = np.asarray(shares) * (PUSH_FROM + OBJECT_BEHIND + PUSH_LENGTH) - PUSH_FROM
-    poses = np.tile(np.eye(4), (len(way), 1, 1))
+    travelled = np.asarray(shares) * (PUSH_FROM + OBJECT_BEHIND + PUSH_LENGTH) - PUSH_FROM
+    poses = np.tile(np.eye(4), (len(travelled), 1, 1))
     poses[:, :3, :3] = np.stack([approach, aside, np.cross(approach, aside)], axis=1)
-    poses[:, :2, 3] = np.asarray(position)[:2] + way[:, None] * ahead[:2]
+    poses[:, :2, 3] = np.asarray(position)[:2] + travelled[:, None] * ahead[:2]
     poses[:, 2, 3] = HAND_HEIGHT
     return poses
 
@@ -137,11 +137,7 @@ class PushLiftBox(CommonRules):
     name: str = "PushLiftBox"
 
     goals: ClassVar[GoalCodec] = _GOALS
-
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the box in the end-effector frame once the hand holds it."""
-        return HELD_OBJECT_POSE
+    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""

@@ -82,7 +82,7 @@ What is chosen is checked with all of them."""
 
 _BOX_CLEARANCE = 0.03
 _TARGET_CLEARANCE = 0.03
-"""m, of obstacles from the box on its way, and from the box held at the target."""
+"""m, of obstacles from the box while it is pushed, and from the box held at the target."""
 
 _PUSH_SLACK = 0.005
 """m, added to the clearance from the push, for what lies between its samples."""
@@ -256,9 +256,9 @@ class _Episode:
         rows = draw_on_legs(families, rng)
         place = np.array(self.box.position)
         ahead = np.array([np.cos(self.box.yaw), np.sin(self.box.yaw), 0.0])
-        way = np.linspace(0.0, push_lift_box.PUSH_LENGTH, 3)[:, None] * ahead
+        shift = np.linspace(0.0, push_lift_box.PUSH_LENGTH, 3)[:, None] * ahead
         radius = np.array([np.linalg.norm(self.box.size)])
-        boxes = np.concatenate([place + way, [self.goal.position]])[:, None]
+        boxes = np.concatenate([place + shift, [self.goal.position]])[:, None]
         pushing = movement.push.paths(self.push[::_PUSH_STRIDE])
         start = movement.approach.paths(self.start[None])
         spheres = movement.push.spheres.radius
@@ -300,9 +300,9 @@ class _Episode:
         ):
             leg = family.leg
             for index in np.flatnonzero(may):
-                way = leg.trajectories(family.members[index : index + 1])[0]
-                if is_witness(leg, way, bodies, rows, clearance, leg.steps):
-                    parts.append(way)
+                trajectory = leg.trajectories(family.members[index : index + 1])[0]
+                if is_witness(leg, trajectory, bodies, rows, clearance, leg.steps):
+                    parts.append(trajectory)
                     break
             else:
                 return None

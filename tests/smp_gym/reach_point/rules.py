@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from smp_gym.robot.kinematics import PEN_TIP
+from smp_gym.robot.pen import PEN_POSE
 from smp_gym.scene import Goal
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.goals import GoalCodec, flag, position
@@ -22,12 +22,7 @@ GOALS = GoalCodec(
 class ReachPoint(CommonRules):
     name: str = "ReachPoint"
     goals: ClassVar[GoalCodec] = GOALS
-
-    @property
-    def object_in_hand(self):
-        pose = np.eye(4)
-        pose[:3, 3] = PEN_TIP
-        return pose
+    object_in_hand: ClassVar = PEN_POSE
 
     def permitted_contacts(self, held):
         return frozenset({("hand", "hand")})
