@@ -6,9 +6,9 @@ Importing the package registers its environments, for example
 
 from importlib.metadata import PackageNotFoundError, version
 
-from smp_gym.registration import ENVIRONMENTS, register_envs
+from smp_gym.registration import ENVIRONMENTS, register_envs, register_task
 
-__all__ = ["ENVIRONMENTS", "__version__", "register_envs"]
+__all__ = ["ENVIRONMENTS", "__version__", "register_envs", "register_task"]
 
 try:
     __version__ = version("smp-gym")

@@ -33,10 +33,9 @@ from smp_gym.scene import (
     DIFFICULTIES,
     EVALUATION_SEEDS_START,
     FAMILIES,
-    FURNISHED_TASKS,
     Scene,
 )
-from smp_gym.tasks import make_task
+from smp_gym.tasks import make_task, task_definition
 
 __all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "ManipulationEnv"]
 
@@ -129,7 +128,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         _check_choice("difficulty", difficulty, DIFFICULTIES)
         _check_choice("reward", reward, ("sparse", "dense"))
         _check_choice("control", control, CONTROLS)
-        allowed = FAMILIES if task in FURNISHED_TASKS else FAMILIES[:1]
+        allowed = FAMILIES if task_definition(task).sampler.furnish else FAMILIES[:1]
         _check_choice(f"family of {task}", family, allowed)
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         for name, value in (("width", width), ("height", height)):

@@ -1,9 +1,10 @@
 """Observations: the one place where state and scene become arrays, and arrays become a scene again.
 
 An observation is a `Dict` of four float32 vectors: ``observation`` (robot, object, time; see
-`STATE_LAYOUT`), ``achieved_goal`` and ``desired_goal`` (see `GOAL_LAYOUTS`), and ``obstacles``
-(`MAX_OBSTACLES` rows of `OBSTACLE_LAYOUT`, flattened). It is complete: `decode` gives back all that
-a planner needs, raw or flattened by `gymnasium.spaces.flatten`.
+`STATE_LAYOUT`), ``achieved_goal`` and ``desired_goal`` (laid out as the task says, see
+`smp_gym.tasks.Task.goals`), and ``obstacles`` (`MAX_OBSTACLES` rows of `OBSTACLE_LAYOUT`,
+flattened). It is complete: `decode` gives back all that a planner needs, raw or flattened by
+`gymnasium.spaces.flatten`.
 """
 
 from __future__ import annotations
@@ -17,20 +18,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from smp_gym.goal_fields import demanded, goals_from
-from smp_gym.scene import (
-    MAX_OBSTACLES,
-    SHAPES,
-    STROKE_POINTS,
-    ManipulatedObject,
-    Obstacle,
-    Scene,
-)
+from smp_gym.scene import MAX_OBSTACLES, SHAPES, ManipulatedObject, Obstacle, Scene
+from smp_gym.tasks.goals import Field
+from smp_gym.tasks.registry import make_task
 
 __all__ = [
     "CONTROLS",
     "CONTROL_PERIOD",
-    "GOAL_LAYOUTS",
     "GRIPPER_RATE",
     "MAX_EPISODE_STEPS",
     "OBSTACLE_LAYOUT",
@@ -61,16 +55,6 @@ CONTROLS: tuple[Control, ...] = get_args(Control)
 
 GRIPPER_RATE = 1.0
 """Change per second of the gripper reference (0 open, 1 closed) at gripper action 1."""
-
-
-@dataclass(frozen=True)
-class Field:
-    """One named stretch of a vector, with the bounds of its entries."""
-
-    name: str
-    size: int
-    low: float
-    high: float
 
 
 STATE_LAYOUT = (
@@ -105,36 +89,6 @@ OBSTACLE_LAYOUT = (
     Field("velocity", 3, -5.0, 5.0),
 )
 """One row of ``obstacles``; absent rows are all zero."""
-
-GOAL_LAYOUTS: dict[str, tuple[Field, ...]] = {
-    "Placement": (
-        Field("object_position", 3, -5.0, 5.0),
-        Field("collided", 1, 0.0, 1.0),
-        Field("released", 1, 0.0, 1.0),
-        Field("at_rest", 1, 0.0, 1.0),
-    ),
-    "DoubleSidedPlacement": (
-        Field("object_position_left", 3, -5.0, 5.0),
-        Field("object_position_right", 3, -5.0, 5.0),
-        Field("collided", 1, 0.0, 1.0),
-        Field("released", 1, 0.0, 1.0),
-        Field("at_rest", 1, 0.0, 1.0),
-    ),
-    "DrawS": (
-        Field("stroke", 3 * STROKE_POINTS, -5.0, 5.0),
-        Field("demanded", STROKE_POINTS, 0.0, 1.0),
-        Field("collided", 1, 0.0, 1.0),
-    ),
-    "PushLiftBox": (
-        Field("object_position", 3, -5.0, 5.0),
-        Field("collided", 1, 0.0, 1.0),
-        Field("held", 1, 0.0, 1.0),
-    ),
-}
-"""``achieved_goal`` and ``desired_goal`` of each task; a flag of 1 in the latter is demanded.
-
-``stroke`` holds points (x, y, z) at equal steps of arc, of what the pen has drawn so far or shall
-draw; ``demanded`` says which of the latter count, and is 1 throughout in what was drawn."""
 
 _ROUNDING = 1e-3
 """By how much norms, step counts and goals may be off, having been float32."""
@@ -249,24 +203,18 @@ def state_field(observation: Mapping[str, Any], name: str) -> Array:
     return np.asarray(observation["observation"][_places(STATE_LAYOUT)[name]], np.float64)
 
 
-def _check_task(task: str) -> None:
-    if task not in GOAL_LAYOUTS:
-        raise ValueError(f"task must be one of {', '.join(GOAL_LAYOUTS)}; got {task!r}")
-
-
 def observation_space(task: str) -> spaces.Dict:
     """Return the observation space of a task: four bounded float32 vectors.
 
     Raises:
         ValueError: no such task.
     """
-    _check_task(task)
-    goal = _bounds(GOAL_LAYOUTS[task])
+    layout = make_task(task).goals.layout
     return spaces.Dict(
         {
             "observation": _bounds(STATE_LAYOUT),
-            "achieved_goal": goal,
-            "desired_goal": _bounds(GOAL_LAYOUTS[task]),
+            "achieved_goal": _bounds(layout),
+            "desired_goal": _bounds(layout),
             "obstacles": _bounds(OBSTACLE_LAYOUT, MAX_OBSTACLES),
         }
     )
@@ -277,12 +225,10 @@ def _space(task: str) -> spaces.Dict:
     return observation_space(task)
 
 
-_WITHOUT_OBJECT = frozenset({"DrawS"})
-
-
 def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
-    """Return ``desired_goal`` (G,) of a scene, laid out as `GOAL_LAYOUTS` says."""
-    return _Join(GOAL_LAYOUTS[scene.task])(demanded(scene))
+    """Return ``desired_goal`` (G,) of a scene, laid out as the task says."""
+    codec = make_task(scene.task).goals
+    return _Join(codec.layout)(codec.encode(scene))
 
 
 def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
@@ -313,7 +259,7 @@ class Encoder:
     def __init__(self, scene: Scene, control: Control = "joint_velocity") -> None:
         self._control = CONTROLS.index(control)
         self._state = _Join(STATE_LAYOUT)
-        self._goal = _Join(GOAL_LAYOUTS[scene.task])
+        self._goal = _Join(make_task(scene.task).goals.layout)
         self._desired_goal = encode_desired_goal(scene)
         self._obstacles = _encode_obstacles(scene.obstacles)
 
@@ -370,7 +316,6 @@ def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
 
 def _as_dict(observation: Any, task: str) -> dict[str, Array]:
     """Check one raw or flattened observation and return its four vectors as float64."""
-    _check_task(task)
     space = _space(task)
     if isinstance(observation, Mapping):
         if set(observation) != set(space.spaces):
@@ -442,26 +387,27 @@ def decode(observation: Any, task: str) -> DecodedObservation:
 
     Args:
         observation: one observation, raw (dict) or flattened (vector); not a batch.
-        task: the task it is from, one of `GOAL_LAYOUTS`.
+        task: the task it is from, one of `smp_gym.tasks.task_names`.
 
     Raises:
         ValueError: keys, shapes or values are not those of such an observation.
     """
     vectors = _as_dict(observation, task)
     state = _split(vectors["observation"], STATE_LAYOUT)
-    desired = _split(vectors["desired_goal"], GOAL_LAYOUTS[task])
-    achieved = _split(vectors["achieved_goal"], GOAL_LAYOUTS[task])
+    codec = make_task(task).goals
+    desired = _split(vectors["desired_goal"], codec.layout)
+    achieved = _split(vectors["achieved_goal"], codec.layout)
     _check_raw(vectors, state)
     size = state["object_size"]
-    if task == "DrawS" and desired["demanded"][-1] != 1.0:
-        raise _abnormal("desired_goal", "demand the stroke's end")
+    try:
+        goals = codec.decode(desired, size)
+    except ValueError as error:
+        raise _abnormal("desired_goal", str(error)) from error
     scene = Scene(
         task=task,
         start=tuple(state["configuration"].tolist()),
-        manipulated=None
-        if task in _WITHOUT_OBJECT
-        else ManipulatedObject(size=tuple(size.tolist())),
-        goals=goals_from(task, desired, size),
+        manipulated=ManipulatedObject(size=tuple(size.tolist())) if codec.with_object else None,
+        goals=goals,
         obstacles=_decode_obstacles(vectors["obstacles"]),
     )
     if np.abs(encode_desired_goal(scene) - vectors["desired_goal"]).max() > _ROUNDING:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import gymnasium
 
 from smp_gym.observation import MAX_EPISODE_STEPS
-from smp_gym.scene import TASKS
+from smp_gym.tasks.definition import TaskDefinition
+from smp_gym.tasks.registry import add_task, task_definitions
 
-__all__ = ["ENVIRONMENTS", "Registration", "environment_id", "register_envs"]
+__all__ = [
+    "ENVIRONMENTS",
+    "Registration",
+    "environment_id",
+    "register_envs",
+    "register_task",
+]
 
 _ENTRY_POINT = "smp_gym.env:ManipulationEnv"
 
@@ -20,7 +28,7 @@ class Registration:
 
     Attributes:
         id: what `gymnasium.make` is called with.
-        task: name of the task, one of `smp_gym.scene.TASKS`.
+        task: name of the task, one of `smp_gym.tasks.task_names`.
         reward: "sparse" or "dense".
     """
 
@@ -32,22 +40,36 @@ class Registration:
 _SUFFIXES = {"sparse": "", "dense": "Dense"}
 
 
-def environment_id(task: str, reward: str = "sparse") -> str:
+def environment_id(task: str, reward: str = "sparse", version: int = 0) -> str:
     """Return the Gymnasium id of a task with the "sparse" or the "dense" reward."""
-    return f"smp_gym/{task}{_SUFFIXES[reward]}-v0"
+    return f"smp_gym/{task}{_SUFFIXES[reward]}-v{version}"
 
 
-ENVIRONMENTS = tuple(
-    Registration(id=environment_id(task, reward), task=task, reward=reward)
-    for task in TASKS
-    for reward in _SUFFIXES
-)
-"""All ids: each task with a sparse and with a dense reward."""
+def _ids(tasks: Iterable[TaskDefinition]) -> tuple[Registration, ...]:
+    return tuple(
+        Registration(environment_id(task.name, reward, task.version), task.name, reward)
+        for task in tasks
+        for reward in _SUFFIXES
+    )
 
 
-def register_envs() -> None:
-    """Make all ids known to Gymnasium; ids that it knows already stay as they are."""
-    for entry in ENVIRONMENTS:
+ENVIRONMENTS = _ids(task_definitions())
+"""All ids: each task that ships with the package with a sparse and with a dense reward."""
+
+
+def register_task(task: TaskDefinition) -> None:
+    """Make a task that does not ship with the package known, with its ids as in `ENVIRONMENTS`.
+
+    Raises:
+        ValueError: another task has its name.
+    """
+    add_task(task)
+    register_envs(_ids([task]))
+
+
+def register_envs(environments: Iterable[Registration] = ENVIRONMENTS) -> None:
+    """Make ids known to Gymnasium; ids that it knows already stay as they are."""
+    for entry in environments:
         if entry.id not in gymnasium.registry:
             gymnasium.register(
                 id=entry.id,

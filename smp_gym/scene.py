@@ -8,7 +8,9 @@ table top (z = 0, z up); angles are radians; quaternions are (x, y, z, w).
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -38,25 +40,40 @@ __all__ = [
     "TABLE",
     "TASKS",
     "Goal",
+    "GoalKind",
     "ManipulatedObject",
     "Obstacle",
     "Scene",
     "fixtures",
     "goal_bodies",
     "goal_boxes",
+    "goal_kind",
 ]
 
-TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
-"""Names of the tasks, as they stand in the environment ids."""
+TASKS: tuple[str, ...]
+"""Names of the tasks, as they stand in the environment ids; looked up in `smp_gym.tasks`."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
-"""Difficulties, with 0 / 2 / 4 / 6 obstacles on the way to a goal."""
+"""Difficulties, with 0 / 2 / 4 / 6 obstacles before a goal."""
 
 FAMILIES = ("obstacles", "shelf", "box", "cage", "table")
 """Families of scenes: single obstacles, as many as the difficulty says, or a kind of furniture."""
 
-FURNISHED_TASKS = ("Placement", "DoubleSidedPlacement")
-"""Tasks of which there are scenes with furniture."""
+FURNISHED_TASKS: tuple[str, ...]
+"""Tasks of which there are scenes with furniture; looked up in `smp_gym.tasks`."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> tuple[str, ...]:
+        # The tasks are made of scenes: they can be asked only once this module is complete.
+        from smp_gym.tasks.registry import task_definitions
+
+        if name == "TASKS":
+            return tuple(task.name for task in task_definitions())
+        if name == "FURNISHED_TASKS":
+            return tuple(task.name for task in task_definitions() if task.sampler.furnish)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 SHAPES = ("box", "cylinder", "sphere")
 """Obstacle shapes, in the order of the one-hot code of an observation row."""
@@ -162,20 +179,25 @@ class ManipulatedObject(_Frozen):
         return fields
 
 
+def _known_kind(name: str) -> str:
+    return goal_kind(name).name
+
+
 class Goal(_Frozen):
     """Where the object shall end, or what the pen shall draw.
 
     Attributes:
         kind: "bin", an open box in which the object must come to rest; "pad", a raised square on
             which it must; "stroke", a line in space that the pen must follow; "lift", a point in
-            the air to which the hand must bring the object.
+            the air to which the hand must bring the object; or a kind that a task brings
+            (`smp_gym.tasks.definition.TaskDefinition.goal_kinds`).
         position: centre of the surface on which the object comes to rest, end of the stroke, or
             that point, m.
         checkpoints: `STROKE_POINTS` points of a stroke, the last of which is `position`, m.
         demanded: which of these the pen must pass, the last always; others an obstacle covers.
     """
 
-    kind: Literal["bin", "pad", "stroke", "lift"] = "bin"
+    kind: Annotated[str, AfterValidator(_known_kind)] = "bin"
     position: Vector3
     checkpoints: tuple[Vector3, ...] = ()
     demanded: tuple[bool, ...] = ()
@@ -231,8 +253,9 @@ class Scene(_Frozen):
 
     @model_validator(mode="after")
     def _task_exists(self) -> Scene:
-        if self.task not in TASKS:
-            raise ValueError(f"task must be one of {', '.join(TASKS)}; got {self.task!r}")
+        from smp_gym.tasks.registry import task_definition
+
+        task_definition(self.task)
         return self
 
     def to_json(self) -> str:
@@ -251,6 +274,25 @@ class Scene(_Frozen):
 
 TABLE = Obstacle(shape="box", position=(0.0, 0.0, -0.3), size=(1.5, 1.5, 0.3))
 """The table, its top at z = 0; so thick that from wherever the arm gets to, the way out is up."""
+
+
+@dataclass(frozen=True)
+class GoalKind:
+    """A kind of goals.
+
+    Attributes:
+        name: `Goal.kind`.
+        boxes: returns the boxes that make up the body of such a goal.
+        body_names: what the bodies of a scene's goals are called, in their order; none where such
+            goals have no body. What stands before the first underscore is the group that
+            `smp_gym.tasks.Task.permitted_contacts` names.
+        color: of the bodies, red, green, blue and opacity from 0 to 1.
+    """
+
+    name: str
+    boxes: Callable[[Goal], tuple[Obstacle, ...]] = lambda goal: ()
+    body_names: tuple[str, ...] = ()
+    color: tuple[float, float, float, float] = (0.36, 0.60, 0.42, 1.0)
 
 
 def _bin_boxes(goal: Goal) -> tuple[Obstacle, ...]:
@@ -276,8 +318,28 @@ def _pad_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     return (Obstacle(shape="box", position=(x, y, z - half), size=size),)
 
 
-_BOXES = {"bin": _bin_boxes, "pad": _pad_boxes}
-_BODY_NAMES = {"bin": ("bin",), "pad": ("pad_left", "pad_right")}
+_KINDS = (
+    GoalKind("bin", _bin_boxes, ("bin",), (0.30, 0.45, 0.62, 1.0)),
+    GoalKind("pad", _pad_boxes, ("pad_left", "pad_right")),
+    GoalKind("stroke"),
+    GoalKind("lift"),
+)
+
+
+def goal_kind(name: str) -> GoalKind:
+    """Return a kind of goals: one of those here, or one that a task brings.
+
+    Raises:
+        ValueError: no such kind.
+    """
+    kinds = {kind.name: kind for kind in _KINDS}
+    if name not in kinds:
+        from smp_gym.tasks.registry import task_definitions
+
+        kinds |= {kind.name: kind for task in task_definitions() for kind in task.goal_kinds}
+    if name not in kinds:
+        raise ValueError(f"kind must be one of {', '.join(kinds)}; got {name!r}")
+    return kinds[name]
 
 
 def goal_bodies(scene: Scene) -> dict[str, Goal]:
@@ -286,14 +348,14 @@ def goal_bodies(scene: Scene) -> dict[str, Goal]:
     A bin is called ``bin``; of two pads the first is called ``pad_left``, the second ``pad_right``.
     A stroke or a point in the air brings none.
     """
-    goals = [goal for goal in scene.goals if goal.kind in _BODY_NAMES]
-    names = (_BODY_NAMES[goal.kind][number] for number, goal in enumerate(goals))
+    goals = [goal for goal in scene.goals if goal_kind(goal.kind).body_names]
+    names = (goal_kind(goal.kind).body_names[number] for number, goal in enumerate(goals))
     return dict(zip(names, goals, strict=True))
 
 
 def goal_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     """Return the boxes that make up the body of a goal; a stroke or a point in the air has none."""
-    return _BOXES[goal.kind](goal) if goal.kind in _BOXES else ()
+    return goal_kind(goal.kind).boxes(goal)
 
 
 def fixtures(scene: Scene) -> tuple[Obstacle, ...]:

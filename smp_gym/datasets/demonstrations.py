@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.assets import asset_path
-from smp_gym.scene import TASKS, Scene
-from smp_gym.tasks.draw_s.strokes import pen_path
+from smp_gym.robot.pen import pen_path
+from smp_gym.scene import Scene
+from smp_gym.tasks.registry import task_definition
 
 __all__ = ["DEMONSTRATION_SAMPLES", "FORMAT_VERSION", "Demonstrations", "resample"]
 
@@ -61,7 +62,7 @@ class Demonstrations:
     """N demonstrations of one task, each T samples of a D-joint arm at equal steps of phase.
 
     Attributes:
-        task: name of the task, one of `smp_gym.scene.TASKS`.
+        task: name of the task, one of `smp_gym.tasks.task_names`.
         configurations: (N, T, D) rad, measured joint angles; N >= 2, T >= 2.
         gripper: (N, T) commanded gripper reference, 0 open to 1 closed.
         durations: (N,) s, time from phase 0 to phase 1.
@@ -81,8 +82,7 @@ class Demonstrations:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise ValueError(f"task must be one of {', '.join(TASKS)}; got {self.task!r}")
+        task_definition(self.task)
         configurations = _checked_array("configurations", self.configurations, (None, None, None))
         count, samples, _ = configurations.shape
         if count < 2:

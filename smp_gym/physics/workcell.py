@@ -14,9 +14,17 @@ from smp_gym.physics.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
 from smp_gym.physics.lines import Line, wire_box
 from smp_gym.physics.world import PHYSICS_PERIOD, BulletWorld, Contact
 from smp_gym.robot.kinematics import LINKS, PEN_RADIUS, PEN_TIP
-from smp_gym.scene import TABLE, ManipulatedObject, Obstacle, Scene, goal_bodies, goal_boxes
+from smp_gym.robot.pen import PEN_CONFIGURATION
+from smp_gym.scene import (
+    TABLE,
+    ManipulatedObject,
+    Obstacle,
+    Scene,
+    goal_bodies,
+    goal_boxes,
+    goal_kind,
+)
 from smp_gym.tasks import Status, Task
-from smp_gym.tasks.draw_s.rules import PEN_CONFIGURATION
 from smp_gym.tasks.status import CALM_SPEED
 
 __all__ = ["CLEARANCE_LIMIT", "SUBSTEPS", "Workcell"]
@@ -30,7 +38,6 @@ CLEARANCE_LIMIT = 0.05
 FloatArray = NDArray[np.float64]
 
 _TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
-_GOAL_COLORS = {"bin": (0.30, 0.45, 0.62, 1.0), "pad": (0.36, 0.60, 0.42, 1.0)}
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)
 _TRACE_COLOR = (0.11, 0.25, 0.67)
 _TARGET_COLOR = (0.0, 0.55, 0.25)
@@ -60,7 +67,7 @@ def _group(part: str) -> str:
         return "hand"
     if part in LINKS:
         return "arm"
-    return part.split("_")[0] if part.startswith(("obstacle", "pad")) else part
+    return part.split("_")[0]
 
 
 @cache
@@ -192,7 +199,7 @@ class Workcell:
         world.add_body("table", (TABLE,), color=_TABLE_COLOR)
         for (name, goal), parking in zip(goal_bodies(scene).items(), _PARKING, strict=False):
             boxes = goal_boxes(goal.model_copy(update={"position": _ORIGIN}))
-            world.add_body(name, boxes, color=_GOAL_COLORS[goal.kind], position=parking)
+            world.add_body(name, boxes, color=goal_kind(goal.kind).color, position=parking)
         if manipulated is None:
             self.arm = Jaco(world, assets.jaco_urdf(pen=True), PEN_CONFIGURATION)
             world.reserve_obstacles()
@@ -305,14 +312,13 @@ class Workcell:
 
 
 def _bodiless_goals(scene: Scene) -> list[FloatArray]:
-    """Return lines (M, 3) m that show strokes, and edges of objects where they shall be lifted."""
-    lines = []
-    for goal in scene.goals:
-        if goal.kind == "stroke":
-            lines.append(np.array(goal.checkpoints))
-        elif goal.kind == "lift" and scene.manipulated is not None:
-            lines.append(wire_box(goal.position, scene.manipulated.size))
-    return lines
+    """Return lines (M, 3) m that show strokes, and edges of objects or tips where they shall be."""
+    size = scene.manipulated.size if scene.manipulated else (PEN_RADIUS,) * 3
+    return [
+        np.array(goal.checkpoints) if goal.checkpoints else wire_box(goal.position, size)
+        for goal in scene.goals
+        if not goal_boxes(goal)
+    ]
 
 
 def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:

@@ -13,18 +13,21 @@ A scene is drawn in four steps:
    witness: it solves the scene.
 
 Scenes with furniture (`smp_gym.sampling.furnished`) are drawn with the same families and witnesses.
+A witness is what robotics papers call a feasible reference trajectory; it is not part of the scene.
 
-No planner and no physics engine takes part. The witness is not part of the scene.
+Which goals, families and obstacles belong to a task, its folder in `smp_gym.tasks` says
+(``scenes``); here is the engine that tasks share. No planner and no physics engine takes part.
 """
 
-from smp_gym.sampling.furnished import (
+from smp_gym.sampling.scenes import (
+    place_without_witness,
     sample_furniture,
     sample_furniture_with_witness,
     sample_of_family,
+    sample_scene,
+    sample_with_witness,
 )
-from smp_gym.sampling.scenes import sample_scene, sample_with_witness
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
-from smp_gym.sampling.unwitnessed import place_without_witness
 
 __all__ = [
     "SPECIFICATIONS",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.compiling import kernel
-from smp_gym.sampling.bits import ones, packed
+from smp_gym.sampling.bitsets import ones, packed
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.scene import SHAPES
 

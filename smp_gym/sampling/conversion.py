@@ -11,13 +11,14 @@ from smp_gym.scene import (
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
     SHAPES,
+    TABLE,
     Configuration,
     Goal,
     Obstacle,
     goal_boxes,
 )
 
-__all__ = ["to_configuration", "to_obstacle", "to_row", "to_solid_row"]
+__all__ = ["fixture_rows", "to_configuration", "to_obstacle", "to_row", "to_solid_row"]
 
 FloatArray = NDArray[np.float64]
 
@@ -28,9 +29,15 @@ def to_configuration(q: FloatArray) -> Configuration:
     return a, b, c, d, e, f
 
 
+def fixture_rows(goals: tuple[Goal, ...]) -> FloatArray:
+    """Return the (F, 9) rows of the table and the bodies of goals, as `smp_gym.scene.fixtures`."""
+    bodies = (TABLE, *(box for goal in goals for box in goal_boxes(goal)))
+    return np.array([to_row(body) for body in bodies])
+
+
 def to_solid_row(goal: Goal) -> list[float]:
     """Return the body of a goal as one box."""
-    if goal.kind == "pad":
+    if goal.kind != "bin":
         return to_row(goal_boxes(goal)[0])
     half = BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS
     height = (BIN_HEIGHT + BIN_FLOOR_THICKNESS) / 2

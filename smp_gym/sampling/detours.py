@@ -1,4 +1,4 @@
-"""Smooth random detours: a Gaussian process along the phase, zero where it is pinned."""
+"""Smooth random detours: a Gaussian process along the phase, zero at both ends."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ def smoothstep(phase: FloatArray) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=8)
-def detour_basis(samples: int, pins: tuple[float, ...] = (0.0, 1.0)) -> FloatArray:
+def detour_basis(samples: int) -> FloatArray:
     """Return (samples, F): a detour is this times F standard normal numbers, in units of its std.
 
     A stationary Gaussian process with squared-exponential kernel, written as a Fourier series of
     period 2 (twice the phase, so that its ends do not feel each other) and conditioned in closed
-    form on value and velocity zero at the pins, phases of which the first and last are 0 and 1;
-    between the inner pins, where there are two, it is zero. No matrix factorisation is needed, so
-    the result does not depend on the number of threads of a linear algebra library.
+    form on value and velocity zero at both ends. No matrix factorisation is needed, so the result
+    does not depend on the number of threads of a linear algebra library.
     """
     phase = np.linspace(0.0, 1.0, samples)
     harmonics = np.arange(0, 9)
@@ -48,21 +47,19 @@ def detour_basis(samples: int, pins: tuple[float, ...] = (0.0, 1.0)) -> FloatArr
         )
         return value, slope
 
-    ends = np.concatenate(features(np.array(pins)))
+    ends = np.concatenate(features(np.array([0.0, 1.0])))
     value, _ = features(phase)
     gain = np.einsum("tf,cf->tc", value, ends)
     gram = np.einsum("cf,df->cd", ends, ends)
     correction = np.einsum("tc,cd,df->tf", gain, np.linalg.inv(gram), ends)
     basis: FloatArray = value - correction
     basis[[0, -1]] = 0.0
-    if len(pins) > 2:
-        basis[(phase >= pins[1]) & (phase <= pins[2])] = 0.0
     return basis
 
 
-def detours(numbers: FloatArray, samples: int, pins: tuple[float, ...]) -> FloatArray:
+def detours(numbers: FloatArray, samples: int) -> FloatArray:
     """Return (N, samples, 6) rad from (N, F, 6) standard normal numbers."""
-    return _DETOUR_STD * np.einsum("tf,nfj->ntj", detour_basis(samples, pins), numbers)
+    return _DETOUR_STD * np.einsum("tf,nfj->ntj", detour_basis(samples), numbers)
 
 
 def resample(trajectories: FloatArray, samples: int) -> FloatArray:

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import ObjectTask
-from smp_gym.sampling.carrying import carry
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.detours import detour_basis, detours
 from smp_gym.sampling.grid import Grid, near, rasterise
+from smp_gym.sampling.transfer import Query, Transfer, carry
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
-from smp_gym.scene import Goal, goal_boxes
+from smp_gym.scene import goal_boxes
 
 __all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member"]
 
@@ -25,6 +24,10 @@ BoolArray = NDArray[np.bool_]
 BLOCKING_DEPTH = 0.015
 """Metres: how deep an obstacle reaches into the covering spheres before a path counts as blocked.
 The spheres stand out of the arm's shapes by about that much."""
+
+
+_WIDEST = 2.5
+"""Wide detours are up to so many times as wide as ordinary ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,50 +66,40 @@ class Family:
         return kernels.blocked_paths(paths, self.radius, rows, BLOCKING_DEPTH)
 
 
-def draw_family(
-    task: ObjectTask,
-    goals: tuple[Goal, ...],
-    configuration: FloatArray,
-    proposals: int,
-    wide: int,
-    rng: np.random.Generator,
-) -> Family:
-    """Draw the family of a goal.
+def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generator) -> Family:
+    """Draw the family of a query.
 
     Args:
-        task: whose family.
-        goals: all of the scene; their bodies must be left free.
-        configuration: (6,) rad, where all members end.
+        query: which transfer to which goal.
         proposals: how many detours of ordinary width.
         wide: how many wider ones.
         rng: source of all randomness.
+
+    Raises:
+        UnreachableError: the goal is out of reach.
     """
-    demonstrations = len(task.demonstrations)
+    transfer, configuration = query.transfer, query.release
+    demonstrations = len(transfer.demonstrations)
     base = rng.integers(demonstrations, size=proposals + wide)
-    features = detour_basis(task.samples, task.pins).shape[1]
+    features = detour_basis(transfer.samples).shape[1]
     numbers = rng.standard_normal((len(base), features, 6))
-    numbers[proposals:] *= rng.uniform(1.0, task.widest, size=(wide, 1, 1))
-    carried = carry(task, configuration, task.samples)
+    numbers[proposals:] *= rng.uniform(1.0, _WIDEST, size=(wide, 1, 1))
+    carried = carry(transfer, configuration, transfer.samples)
     mean = carried.mean(axis=0, keepdims=True)
     trajectories = np.concatenate(
-        [mean, carried, carried[base] + detours(numbers, task.samples, task.pins)]
+        [mean, carried, carried[base] + detours(numbers, transfer.samples)]
     )
-    paths = task.paths(trajectories, task.swept)
-    radius = task.spheres.radius[task.swept]
-    grounded = np.isin(task.swept, task.moving)
+    paths = transfer.paths(trajectories, transfer.swept)
+    radius = transfer.spheres.radius[transfer.swept]
+    grounded = np.isin(transfer.swept, transfer.moving)
     height = kernels.lowest(paths, np.where(grounded, radius, -np.inf))
     # The bin counts as solid here.
-    solids = np.array([to_solid_row(goal) for goal in goals if goal_boxes(goal)])
+    solids = np.array([to_solid_row(goal) for goal in query.goals if goal_boxes(goal)])
     solids = solids.reshape(-1, kernels.OBSTACLE_COLUMNS)
     clearance = np.minimum(
         height, kernels.least_clearances(paths, radius, solids, 1.1 * FIXTURE_CLEARANCE)
     )
     able = (clearance >= FIXTURE_CLEARANCE) & within_limits(trajectories)
-    if task.push is not None:
-        approach = paths[:, : int(task.push.phases[0] * (task.samples - 1)) + 1]
-        able &= ~kernels.blocked_paths(approach, radius, task.push.object_row, -FIXTURE_CLEARANCE)[
-            0
-        ]
     return Family(
         configuration=configuration,
         base=base,
@@ -120,9 +113,9 @@ def draw_family(
     )
 
 
-def member(task: ObjectTask, family: Family, index: int) -> FloatArray:
+def member(transfer: Transfer, family: Family, index: int) -> FloatArray:
     """Return member `index` of a family, (W, 6) rad, at the samples of a witness."""
-    carried = carry(task, family.configuration, WITNESS_SAMPLES)
+    carried = carry(transfer, family.configuration, WITNESS_SAMPLES)
     if index == 0:
         mean: FloatArray = carried.mean(axis=0)
         return mean
@@ -130,4 +123,4 @@ def member(task: ObjectTask, family: Family, index: int) -> FloatArray:
         return carried[index - 1]
     detour = index - 1 - len(carried)
     numbers = family.numbers[detour : detour + 1]
-    return carried[family.base[detour]] + detours(numbers, WITNESS_SAMPLES, task.pins)[0]
+    return carried[family.base[detour]] + detours(numbers, WITNESS_SAMPLES)[0]

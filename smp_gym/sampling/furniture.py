@@ -2,7 +2,7 @@
 
 The kinds are those of the scenes of MotionBenchMaker (Chamzas et al. 2022), built to the size of
 this arm. Shelf, box and cage stand around a goal and open towards the robot, the box upwards; the
-table stands across the way to the goal. All lengths are metres.
+table stands between start and goal. All lengths are metres.
 
 A piece is built in its own frame, which stands on the table top with x pointing away from the robot
 and z up, and is then turned about the vertical and moved to its place.
@@ -183,7 +183,7 @@ def _around_goal(place: Place, rng: np.random.Generator) -> tuple[float, float, 
     return x, y, _bearing(place.goal) + rng.uniform(-_TURN, _TURN)
 
 
-def _on_the_way(place: Place, rng: np.random.Generator) -> tuple[float, float, float]:
+def _between(place: Place, rng: np.random.Generator) -> tuple[float, float, float]:
     begin, end = _bearing(place.start), _bearing(place.goal)
     bearing = begin + rng.uniform(*_TABLE_SHARE) * (end - begin)
     radius = rng.uniform(*_TABLE_RADIUS)
@@ -198,7 +198,7 @@ _KINDS: dict[str, tuple[_Build, _Put]] = {
     "shelf": (_shelf, _around_goal),
     "box": (_open_box, _around_goal),
     "cage": (_cage, _around_goal),
-    "table": (_table, _on_the_way),
+    "table": (_table, _between),
 }
 
 FURNITURE = FAMILIES[1:]

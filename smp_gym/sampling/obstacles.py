@@ -1,4 +1,4 @@
-"""Obstacles to choose from: near the ways of a family, off table, goals and start."""
+"""Obstacles to choose from: near the trajectories of a family, off table, goals and start."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import ObjectTask
 from smp_gym.sampling.choice import widths
+from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.family import Family
-from smp_gym.scene import (
-    BIN_INNER_HALF_WIDTH,
-    BIN_WALL_THICKNESS,
-    PAD_HALF_WIDTH,
-    SHAPES,
-    Goal,
-    ManipulatedObject,
-)
+from smp_gym.sampling.transfer import Query
+from smp_gym.scene import SHAPES
 
 __all__ = [
     "BASE_DISTANCE",
@@ -36,19 +30,11 @@ BoolArray = NDArray[np.bool_]
 
 _HAND_LINK = 5
 BASE_DISTANCE = 0.35
-"""Obstacles stand in the way of the hand: near spheres from this link on, and so far (m) from the
-axis of the base. Nearer to it they would block more, but the shoulder, not the way."""
+"""Obstacles stand before the hand: near spheres from this link on, and so far (m) from the axis of
+the base. Nearer to it they would block more, but the shoulder, not the hand."""
 
 START_CLEARANCE = 0.05
-_GOAL_CLEARANCES = {"bin": 0.03, "pad": 0.01, "lift": 0.03}
-"""Obstacles: distance (m) to the robot at the start, and sideways to bin or pad."""
-
-_HALF_WIDTHS = {
-    "bin": BIN_INNER_HALF_WIDTH + BIN_WALL_THICKNESS,
-    "pad": PAD_HALF_WIDTH,
-    "lift": max(ManipulatedObject().size),
-}
-"""m, of the bodies of goals, or of the object that is lifted to one."""
+"""Obstacles: distance (m) to the robot at the start."""
 
 HALF_EXTENTS = (0.03, 0.06)
 _TABLE_SHARE = 0.35
@@ -64,23 +50,19 @@ _CHILDREN = 150
 
 
 def draw_candidates(
-    task: ObjectTask,
-    family: Family,
-    proposals: BoolArray,
-    goals: tuple[Goal, ...],
-    rng: np.random.Generator,
+    query: Query, family: Family, proposals: BoolArray, rng: np.random.Generator
 ) -> FloatArray:
     """Return rows of obstacles near the paths of (P,) proposals, off table, goals and start."""
-    count = _CANDIDATES
+    transfer, count = query.transfer, _CANDIDATES
     pool = np.flatnonzero(proposals)
     if not len(pool):
         return np.empty((0, kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
-    sample = rng.integers(task.samples, size=count)
-    hand = np.flatnonzero(task.spheres.link[task.swept] >= _HAND_LINK)
+    sample = rng.integers(transfer.samples, size=count)
+    hand = np.flatnonzero(transfer.spheres.link[transfer.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     rows = draw_rows(family.paths[member, sample, sphere], family.radius[sphere], 2.0, rng)
-    return rows[_fits(task, goals, rows)]
+    return rows[_fits(query, rows)]
 
 
 def draw_rows(
@@ -107,9 +89,7 @@ def draw_rows(
     return np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
 
 
-def vary(
-    task: ObjectTask, goals: tuple[Goal, ...], rows: FloatArray, rng: np.random.Generator
-) -> FloatArray:
+def vary(query: Query, rows: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return rows of obstacles that resemble the given ones, but are larger and turned anew."""
     count = _CHILDREN if len(rows) else 0
     children = rows[rng.integers(max(1, len(rows)), size=count)]
@@ -120,7 +100,7 @@ def vary(
     children[:, 3] = np.where(on_table, children[:, 8], children[:, 3])
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     children[:, 4], children[:, 5] = np.cos(yaw), np.sin(yaw)
-    return children[_fits(task, goals, children)]
+    return children[_fits(query, children)]
 
 
 def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
@@ -131,18 +111,15 @@ def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
     return size
 
 
-def _fits(task: ObjectTask, goals: tuple[Goal, ...], rows: FloatArray) -> BoolArray:
-    """Return which obstacles are off base, table, goals, start and a pushed object."""
+def _fits(query: Query, rows: FloatArray) -> BoolArray:
+    """Return which obstacles are off base, table, goals and start."""
     fits: BoolArray = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
     fits &= rows[:, 3] >= rows[:, 8]
     width = widths(rows)
-    for goal in goals:
+    transfer = query.transfer
+    for goal in query.goals:
         aside = np.abs(rows[:, 1:3] - np.asarray(goal.position[:2])).max(axis=1)
-        fits &= aside >= _HALF_WIDTHS[goal.kind] + _GOAL_CLEARANCES[goal.kind] + width
-    start, radius = task.paths(task.start[None]), task.spheres.radius
-    fits &= kernels.path_clearances(start, radius, rows, START_CLEARANCE) >= START_CLEARANCE
-    if task.push is not None:
-        path, radius = task.push.object_path, task.push.object_radius
-        enough = _GOAL_CLEARANCES["lift"]
-        fits &= kernels.path_clearances(path, radius, rows, enough) >= enough
+        fits &= aside >= to_solid_row(goal)[6] + transfer.goal_clearance + width
+    start = transfer.start[None]
+    fits &= transfer.clearances(start, rows, START_CLEARANCE) >= START_CLEARANCE
     return fits

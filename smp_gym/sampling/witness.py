@@ -1,4 +1,4 @@
-"""Witnesses: whether a trajectory solves a scene, checked densely."""
+"""Witnesses, feasible reference trajectories: whether a trajectory solves a scene, densely."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import Body
+from smp_gym.sampling.moving_body import MovingBody
 
 __all__ = ["FIXTURE_CLEARANCE", "WITNESS_SAMPLES", "is_witness", "within_limits"]
 
@@ -31,7 +31,7 @@ def within_limits(trajectories: FloatArray, steps: float | None = None) -> BoolA
 
     Args:
         trajectories: rad.
-        steps: how many steps like theirs make a whole way; by default they are whole.
+        steps: how many steps like theirs make a whole trajectory; by default they are whole.
     """
     steps = trajectories.shape[-2] - 1.0 if steps is None else steps
     low = kinematics.JOINT_LOWER + _LIMIT_MARGIN
@@ -44,7 +44,7 @@ def within_limits(trajectories: FloatArray, steps: float | None = None) -> BoolA
 
 
 def is_witness(
-    task: Body,
+    body: MovingBody,
     trajectory: FloatArray,
     bodies: FloatArray,
     rows: FloatArray,
@@ -54,29 +54,23 @@ def is_witness(
     """Return whether a (W, 6) trajectory solves a scene of obstacles `rows`, fixtures `bodies`.
 
     Args:
-        task: whose body moves.
+        body: what moves.
         trajectory: rad.
         bodies: (B, 9) rows that no moving sphere may touch.
         rows: (M, 9) rows of obstacles.
         clearance: m, to the obstacles.
-        steps: how many steps like the trajectory's make a whole way; by default it is whole.
+        steps: how many steps like the trajectory's make a whole trajectory; by default it is whole.
     """
     if not within_limits(trajectory, steps):
         return False
-    path = task.paths(trajectory)
-    radius = task.spheres.radius
+    path = body.paths(trajectory)
+    radius = body.spheres.radius
     if (kernels.path_clearances(path, radius, rows, clearance) < clearance).any():
         return False
-    if task.push is not None:
-        # Nothing may knock the object over before the push begins.
-        approach = path[: int(task.push.phases[0] * (len(path) - 1)) + 1]
-        row = task.push.object_row
-        if kernels.path_clearances(approach, radius, row, 1.0)[0] < FIXTURE_CLEARANCE:
-            return False
     # The arm's base stands on the table: only the moving spheres have to keep clear of it.
-    moving = np.ascontiguousarray(path[:, task.moving])
+    moving = np.ascontiguousarray(path[:, body.moving])
     enough = FIXTURE_CLEARANCE
-    margins = kernels.path_clearances(moving, radius[task.moving], bodies, enough)
+    margins = kernels.path_clearances(moving, radius[body.moving], bodies, enough)
     if (margins < enough).any():
         return False
-    return bool(kernels.clear_of_itself(path, radius, task.pairs, _SELF_CLEARANCE))
+    return bool(kernels.clear_of_itself(path, radius, body.pairs, _SELF_CLEARANCE))

@@ -1,34 +1,66 @@
-"""What all tasks share: checks of scenes, the layout of goals, the scale of the dense reward."""
+"""What all tasks share: the rules that few change, checks of scenes, scale of the dense reward."""
 
 from __future__ import annotations
 
-from functools import cache
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from smp_gym.observation import GOAL_LAYOUTS
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.scene import Scene
+from smp_gym.tasks.goals import GoalCodec
+from smp_gym.tasks.status import Status
 
-__all__ = ["POTENTIAL_PER_METRE", "check_playable", "goal_columns"]
+__all__ = ["POTENTIAL_PER_METRE", "CommonRules"]
 
 POTENTIAL_PER_METRE = 20.0
-"""By how much the dense reward's potential rises on the way to the goal. The end of an episode, by
-failure too, forgives the way that is left: 2 m of it must count for much less than a failure."""
+"""By how much the dense reward's potential rises towards the goal. The end of an episode, by
+failure too, forgives the distance left: 2 m of it must count for much less than a failure."""
 
 
-@cache
-def goal_columns(task: str, name: str) -> slice:
-    """Return where a field stands in the goal vectors of a task."""
-    start = 0
-    for field in GOAL_LAYOUTS[task]:
-        if field.name == name:
-            return slice(start, start + field.size)
-        start += field.size
-    raise KeyError(name)
+FloatArray = NDArray[np.floating[Any]]
+BoolArray = NDArray[np.bool_]
 
 
-def check_playable(scene: Scene) -> None:
+@dataclass(frozen=True)
+class CommonRules:
+    """The rules of a task as far as most tasks share them; see `smp_gym.tasks.Task`."""
+
+    name: str
+
+    goals: ClassVar[GoalCodec]
+    object_in_hand: ClassVar[FloatArray]
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ValueError if the scene is another task's, something moves or is out of reach."""
+        if scene.task != self.name:
+            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        _check_playable(scene)
+
+    def failure(self, status: Status) -> str:
+        """Return nothing: as long as there is time, the episode can succeed."""
+        return ""
+
+    def collided(self, achieved: FloatArray) -> BoolArray:
+        """Return whether goals (..., G) tell of a collision, (...)."""
+        return np.asarray(achieved[..., self._flag("collided")] > 0.5)
+
+    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Return False for all goals (..., G): no episode is over without success."""
+        return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
+
+    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+        """Return nothing: goals tell no more than success."""
+        return {}
+
+    def _flag(self, name: str) -> int:
+        """Return the column of a flag in the goal vectors."""
+        return int(self.goals.columns(name).start)
+
+
+def _check_playable(scene: Scene) -> None:
     """Raise ValueError if an obstacle moves, or start or goals are out of the arm's reach."""
     moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
     if moving:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.scene import Scene
-from smp_gym.tasks.common import check_playable, goal_columns
+from smp_gym.tasks.common import CommonRules
+from smp_gym.tasks.goals import Field, flag
 from smp_gym.tasks.status import Status
 
-__all__ = ["GRASP_FINGER_ANGLES", "PlacingTask"]
+__all__ = ["GRASP_FINGER_ANGLES", "PLACING_FLAGS", "SET_DOWN", "PlacingTask"]
 
 FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
@@ -21,11 +22,17 @@ BoolArray = NDArray[np.bool_]
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
 
+PLACING_FLAGS: tuple[Field, ...] = (flag("collided"), flag("released"), flag("at_rest"))
+"""Flags of the goals of tasks that set an object down, the last fields of their goal vectors."""
+
+SET_DOWN = {"collided": 0.0, "released": 1.0, "at_rest": 1.0}
+"""What such a task demands of them."""
+
 _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
 
 
 @dataclass(frozen=True)
-class PlacingTask(ABC):
+class PlacingTask(CommonRules, ABC):
     """A task that begins with the object in the hand and ends with it at rest somewhere.
 
     The held object may touch nothing but the hand. Once let go and come to rest it has been placed,
@@ -35,24 +42,20 @@ class PlacingTask(ABC):
     misses the desired one.
     """
 
-    name: str
-    version: int = 0
-
     support: ClassVar[str]
     """Group of the bodies on which the object may rest, which is also the kind of the goals."""
 
-    goals: ClassVar[int]
+    goal_count: ClassVar[int]
     """How many goals a scene has."""
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
-        if scene.task != self.name:
-            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        super().check_scene(scene)
         if scene.manipulated is None:
             raise ValueError("scene.manipulated must be an object to place, got None")
-        if len(scene.goals) != self.goals:
-            number = {1: "one", 2: "two"}[self.goals]
-            plural = "" if self.goals == 1 else "s"
+        if len(scene.goals) != self.goal_count:
+            number = {1: "one", 2: "two"}[self.goal_count]
+            plural = "" if self.goal_count == 1 else "s"
             raise ValueError(
                 f"scene.goals must hold {number} {self.support}{plural}, "
                 f"got {len(scene.goals)} goals"
@@ -60,7 +63,6 @@ class PlacingTask(ABC):
         kinds = [goal.kind for goal in scene.goals if goal.kind != self.support]
         if kinds:
             raise ValueError(f"scene.goals must be of kind {self.support!r}, got {kinds[0]!r}")
-        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
@@ -73,10 +75,6 @@ class PlacingTask(ABC):
         """Return "dropped" when the object, no longer held, touches the table."""
         return "dropped" if not status.held and "table" in status.object_contacts else ""
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
-        """Return whether goals (..., G) tell of a collision, (...)."""
-        return achieved[..., self._flag("collided")] > 0.5
-
     @abstractmethod
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., G) are reached, (...)."""
@@ -88,9 +86,6 @@ class PlacingTask(ABC):
         if not placed.any():
             return np.asarray(placed)
         return np.asarray(placed & ~self.success(achieved, desired))
-
-    def _flag(self, name: str) -> int:
-        return int(goal_columns(self.name, name).start)
 
     def _flags(self, status: Status) -> dict[str, float]:
         """Return the flags of the achieved goal by field name."""

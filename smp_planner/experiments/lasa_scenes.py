@@ -12,8 +12,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from smp_gym.datasets import lasa
 from smp_planner.adaptation import Adaptation, adaptation
-from smp_planner.experiments import lasa
 from smp_planner.library.smp import SMP, AdaptSettings, AnyOf, Circle, ViaPoint
 
 __all__ = [

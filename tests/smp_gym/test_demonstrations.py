@@ -1,6 +1,4 @@
-import importlib.util
 import json
-import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +6,6 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-import typer
 
 import smp_gym  # noqa: F401
 from smp_gym.datasets.demonstrations import FORMAT_VERSION, Demonstrations, resample
@@ -17,8 +14,6 @@ from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, e
 from smp_gym.rollout import play
 from smp_gym.scene import BIN_INNER_HALF_WIDTH, Goal, ManipulatedObject, Scene
 from smp_gym.tasks.placement.rules import HELD_OBJECT_POSE, NOMINAL_BIN, START_CONFIGURATION
-
-SCRIPT = Path(__file__).parents[2] / "scripts" / "record_demonstrations.py"
 
 
 def small(**changes):
@@ -268,54 +263,6 @@ def test_resample_is_exact_on_cubics():
 def test_resample_names_bad_values(values, samples, message):
     with pytest.raises(ValueError, match=message):
         resample(values, samples)
-
-
-@pytest.fixture(scope="module")
-def script():
-    specification = importlib.util.spec_from_file_location("record_demonstrations", SCRIPT)
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[specification.name] = module
-    specification.loader.exec_module(module)
-    yield module
-    del sys.modules[specification.name]
-
-
-def test_the_script_writes_nothing_unless_all_succeed(script, tmp_path, monkeypatch):
-    def drop(env, scene, movement, duration):
-        return script.Recording(movement, np.zeros(4), {"is_success": False, "failure": "dropped"})
-
-    monkeypatch.setattr(script, "execute", drop)
-    with pytest.raises(typer.Exit) as caught:
-        script.main(tmp_path / "Placement.npz")
-    assert caught.value.exit_code == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_scripted_movements_keep_within_the_speed_limit(script):
-    rng = np.random.default_rng(11)
-    for _ in range(10):
-        movement = script.scripted_movement(rng)
-        speed = np.abs(np.diff(movement, axis=0)) * (len(movement) - 1) / script.DURATION[0]
-        assert (speed <= script.SPEED_LIMIT * JOINT_VELOCITY).all()
-        assert movement.shape == (200, 6)
-
-
-@pytest.mark.parametrize("way", [0, 1])
-def test_scripted_movements_end_just_above_either_pad(script, way):
-    rng = np.random.default_rng(5)
-    for _ in range(5):
-        movement = script.scripted_movement(rng, script.DOUBLE_SIDED_PLACEMENT, way)
-        speed = np.abs(np.diff(movement, axis=0)) * 199 / script.DOUBLE_SIDED_PLACEMENT.duration[0]
-        assert (speed <= script.SPEED_LIMIT * JOINT_VELOCITY).all()
-        held = (end_effector_pose(movement[-1]) @ HELD_OBJECT_POSE)[:3, 3]
-        surface = np.array(script.DOUBLE_SIDED_PLACEMENT.goals[way].position)
-        assert np.abs(held - surface)[:2].max() < 0.03
-        assert 0.045 < held[2] - surface[2] < 0.07
-
-
-def test_the_script_knows_its_tasks(script, tmp_path):
-    with pytest.raises(typer.BadParameter, match=r"DoubleSided.*PushLiftBox; got 'Juggling'"):
-        script.main(tmp_path / "Juggling.npz", task="Juggling")
 
 
 def test_control_period_divides_the_durations(shipped):

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from smp_gym.datasets import lasa
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import MAX_EPISODE_STEPS, decode, encode_desired_goal
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, PEN_RADIUS, PEN_TIP
+from smp_gym.robot.pen import pen_path
 from smp_gym.rollout import play
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle
@@ -25,8 +27,6 @@ from smp_gym.tasks.draw_s.rules import (
     equal_arc,
     passed_in_order,
 )
-from smp_gym.tasks.draw_s.strokes import pen_path
-from smp_planner.experiments import lasa
 
 TASK = make_task("DrawS")
 SEEDS = range(10)

@@ -7,12 +7,18 @@ from scipy.spatial.transform import Rotation
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.robot import kinematics
+from smp_gym.robot.pen import pen_path
 from smp_gym.rollout import play
-from smp_gym.sampling import SPECIFICATIONS, sample_scene, sample_with_witness, strokes
-from smp_gym.sampling.stroke_ways import SCALE, drawing_body, sample_stroke, tip_path
+from smp_gym.sampling import (
+    SPECIFICATIONS,
+    place_without_witness,
+    sample_scene,
+    sample_with_witness,
+)
 from smp_gym.scene import DIFFICULTIES, STROKE_POINTS, Scene
 from smp_gym.tasks.draw_s.rules import covered
-from smp_gym.tasks.draw_s.strokes import follow, moved, pen_path
+from smp_gym.tasks.draw_s.stroke_trajectories import SCALE, drawing_body, sample_stroke, tip_path
+from smp_gym.tasks.draw_s.strokes import follow, moved
 
 SEEDS = range(10)
 CROWDED = ("easy", "medium", "hard")
@@ -102,8 +108,7 @@ def test_sampling_is_a_pure_function():
 
 
 def place(difficulty, seed):
-    rng = np.random.default_rng(seed)
-    return strokes.place_without_witness(SPECIFICATIONS[difficulty], rng, difficulty, seed, 0)
+    return place_without_witness("DrawS", difficulty, seed)
 
 
 def depths(way, scene):
@@ -153,6 +158,8 @@ def test_placing_without_a_witness_is_a_pure_function():
 
 def test_the_tip_of_a_way_is_that_of_kinematics():
     stroke = sample_stroke(np.random.default_rng(0))
-    np.testing.assert_allclose(tip_path(stroke.way)[:, 0], pen_path(stroke.way), atol=1e-12)
+    np.testing.assert_allclose(
+        tip_path(stroke.trajectory)[:, 0], pen_path(stroke.trajectory), atol=1e-12
+    )
     # From where the movement has joined the stroke on, the pen is on it.
-    np.testing.assert_allclose(pen_path(stroke.way)[32:], stroke.line[32:], atol=1e-4)
+    np.testing.assert_allclose(pen_path(stroke.trajectory)[32:], stroke.line[32:], atol=1e-4)

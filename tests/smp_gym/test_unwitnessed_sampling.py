@@ -6,8 +6,8 @@ import pytest
 from smp_gym.env import ManipulationEnv
 from smp_gym.robot import kinematics
 from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
-from smp_gym.sampling.carrying import carry, release_configuration
-from smp_gym.sampling.placing import placement_task
+from smp_gym.sampling.transfer import carry, release_configuration
+from smp_gym.tasks.placement.scenes import demonstrated_transfer
 
 CROWDED = ("easy", "medium", "hard")
 
@@ -50,7 +50,7 @@ def distances(points, obstacle):
 
 @pytest.mark.parametrize("difficulty", CROWDED)
 def test_the_mean_is_blocked_and_its_ends_are_free(difficulty):
-    data = placement_task()
+    data = demonstrated_transfer()
     for seed in range(5):
         scene = place_without_witness("Placement", difficulty, seed)
         end = release_configuration(data, scene.goals[0])

@@ -11,9 +11,9 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import decode
 from smp_gym.robot.kinematics import PEN_TIP, UnreachableError
+from smp_gym.robot.pen import pen_path
 from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import STROKE_POINTS, Obstacle
-from smp_gym.tasks.draw_s.strokes import pen_path
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners import make_planner, task_settings
 from smp_planner.planning.pipeline import condition, conditioned_parts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.robot.kinematics import GRASP_CENTER
-from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Scene
-from smp_gym.tasks.common import POTENTIAL_PER_METRE, goal_columns
-from smp_gym.tasks.placing import PlacingTask
+from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Goal, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE
+from smp_gym.tasks.goals import GoalCodec, position, resting_place
+from smp_gym.tasks.placing import PLACING_FLAGS, SET_DOWN, PlacingTask
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -21,6 +23,7 @@ __all__ = [
     "PAD_SHIFT",
     "PAD_TOP",
     "RELEASE_GAP",
+    "RULES",
     "SIDES",
     "START_CONFIGURATION",
     "TILT",
@@ -65,9 +68,25 @@ HELD_OBJECT_POSE[:3, :3] = [
 HELD_OBJECT_POSE[:3, 3] = GRASP_CENTER
 HELD_OBJECT_POSE.setflags(write=False)
 
+_FIELDS = tuple(f"object_position_{side}" for side in SIDES)
+
+
+def _encode(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal: where the object's centre shall rest on either pad."""
+    places = {name: resting_place(scene, number) for number, name in enumerate(_FIELDS)}
+    return {**places, **SET_DOWN}
+
+
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+    places = (desired[name].tolist() for name in _FIELDS)
+    return tuple(Goal(kind="pad", position=(x, y, z - float(size[2]))) for x, y, z in places)
+
+
+_GOALS = GoalCodec((*map(position, _FIELDS), *PLACING_FLAGS), _encode, _decode)
+
 _HEIGHT_TOLERANCE = 0.015
 _TOLERANCE = np.array([PAD_HALF_WIDTH, PAD_HALF_WIDTH, _HEIGHT_TOLERANCE])
-_POSITIONS = tuple(goal_columns("DoubleSidedPlacement", f"object_position_{s}") for s in SIDES)
+_POSITIONS = tuple(map(_GOALS.columns, _FIELDS))
 assert _HEIGHT_TOLERANCE < PAD_LOWEST
 
 
@@ -82,12 +101,9 @@ class DoubleSidedPlacement(PlacingTask):
     name: str = "DoubleSidedPlacement"
 
     support: ClassVar[str] = "pad"
-    goals: ClassVar[int] = 2
-
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the object in the end-effector frame at the start."""
-        return HELD_OBJECT_POSE
+    goal_count: ClassVar[int] = 2
+    goals: ClassVar[GoalCodec] = _GOALS
+    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -111,8 +127,7 @@ class DoubleSidedPlacement(PlacingTask):
 
         The desired goal has its place on the left and on the right pad in these two fields.
         """
-        places = {f"object_position_{side}": status.object_position for side in SIDES}
-        return {**places, **self._flags(status)}
+        return {**dict.fromkeys(_FIELDS, status.object_position), **self._flags(status)}
 
     def reached(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return on which of the `SIDES` goals are reached.
@@ -148,3 +163,6 @@ class DoubleSidedPlacement(PlacingTask):
         """Return ``side``: where the object was placed, "left" or "right", or "" if it was not."""
         reached = self.reached(achieved, desired)
         return {"side": SIDES[int(reached.argmax())] if reached.any() else ""}
+
+
+RULES = DoubleSidedPlacement()

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from smp_gym.robot.kinematics import PEN_TIP
-from smp_gym.scene import STROKE_POINTS, Obstacle, Scene
-from smp_gym.tasks.common import POTENTIAL_PER_METRE, check_playable
+from smp_gym.robot.pen import PEN_POSE
+from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.draw_s import stroke_kernels
+from smp_gym.tasks.goals import GoalCodec, flag, position
 from smp_gym.tasks.status import Status
 
 __all__ = [
     "CHECKPOINT_TOLERANCE",
     "COVERED_DISTANCE",
     "END_TOLERANCE",
-    "PEN_CONFIGURATION",
+    "RULES",
     "DrawS",
     "covered",
     "equal_arc",
@@ -40,16 +41,37 @@ COVERED_DISTANCE = 0.06
 """Metres: a checkpoint nearer than this to an obstacle's surface, or inside it, is covered: the pen
 has to go round there, and the checkpoint is not demanded."""
 
-PEN_CONFIGURATION = (-1.52, 2.96, 0.83, 0.63, 3.07, -0.61)
-"""Joint angles in which the hand closes on the pen before it is put at an episode's start, rad."""
-
 _SUBDIVISION = 3
 """Points into which the line between two neighbouring points of the trace is cut."""
 
-_STROKE = slice(0, 3 * STROKE_POINTS)
-_END = slice(3 * STROKE_POINTS - 3, 3 * STROKE_POINTS)
-_DEMANDED = slice(3 * STROKE_POINTS, 4 * STROKE_POINTS)
-_COLLIDED = 4 * STROKE_POINTS
+
+def _encode(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal: the stroke, and which of its checkpoints the pen must pass."""
+    stroke = scene.goals[0]
+    demanded = [float(flag) for flag in stroke.demanded]
+    return {"stroke": np.ravel(stroke.checkpoints), "demanded": demanded, "collided": 0.0}
+
+
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+    if desired["demanded"][-1] != 1.0:
+        raise ValueError("demand the stroke's end")
+    points = tuple((x, y, z) for x, y, z in desired["stroke"].reshape(-1, 3).tolist())
+    demanded = tuple(bool(flag > 0.5) for flag in desired["demanded"])
+    return (Goal(kind="stroke", position=points[-1], checkpoints=points, demanded=demanded),)
+
+
+_GOALS = GoalCodec(
+    (position("stroke", STROKE_POINTS), flag("demanded", STROKE_POINTS), flag("collided")),
+    _encode,
+    _decode,
+    with_object=False,
+)
+"""``stroke`` holds points at equal steps of arc, of what the pen has drawn so far or shall draw;
+``demanded`` says which of the latter count, and is 1 throughout in what was drawn."""
+
+_STROKE = _GOALS.columns("stroke")
+_END = slice(_STROKE.stop - 3, _STROKE.stop)
+_DEMANDED = _GOALS.columns("demanded")
 
 
 def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
@@ -123,7 +145,7 @@ def _batch(values: FloatArray, shape: tuple[int, ...], axes: int) -> NDArray[np.
 
 
 @dataclass(frozen=True)
-class DrawS:
+class DrawS(CommonRules):
     """The task of `smp_gym/DrawS-v0`.
 
     The pen is part of the hand and draws all the time. Success: it is at the end of the stroke,
@@ -132,25 +154,18 @@ class DrawS:
     """
 
     name: str = "DrawS"
-    version: int = 0
 
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the pen's tip in the end-effector frame."""
-        pose = np.eye(4)
-        pose[:3, 3] = PEN_TIP
-        return pose
+    goals: ClassVar[GoalCodec] = _GOALS
+    object_in_hand: ClassVar[FloatArray] = PEN_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
-        if scene.task != self.name:
-            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        super().check_scene(scene)
         if scene.manipulated is not None:
             raise ValueError(f"scene.manipulated must be None, got {scene.manipulated!r}")
         if [goal.kind for goal in scene.goals] != ["stroke"]:
             kinds = ", ".join(goal.kind for goal in scene.goals)
             raise ValueError(f"scene.goals must hold one stroke, got {kinds}")
-        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
@@ -163,10 +178,6 @@ class DrawS:
             "demanded": np.ones(STROKE_POINTS),
             "collided": float(status.collided),
         }
-
-    def failure(self, status: Status) -> str:
-        """Return an empty string: as long as time is left, the S can be drawn anew."""
-        return ""
 
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals are reached.
@@ -190,16 +201,8 @@ class DrawS:
         ended[ended] = reached == STROKE_POINTS
         return ended
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
-        """Return whether goals (..., 129) tell of a collision, (...)."""
-        return achieved[..., _COLLIDED] > 0.5
-
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return False for all goals (..., 129): what was drawn amiss can be drawn anew."""
-        return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
-
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return minus the way that is left along the stroke, (...), 20 per metre.
+        """Return minus the length that is left of the stroke, (...), 20 per metre.
 
         It is the distance of the pen to the next demanded checkpoint, and from there the length of
         the stroke.
@@ -215,10 +218,6 @@ class DrawS:
         remaining = np.take_along_axis(left, upcoming, axis=-1)[..., 0]
         return np.asarray(-POTENTIAL_PER_METRE * (distance + remaining))
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: goals tell no more than success."""
-        return {}
-
 
 def _points(goals: FloatArray) -> FloatArray:
     """Return the points (..., N, 3) of goals (..., 129)."""
@@ -227,3 +226,6 @@ def _points(goals: FloatArray) -> FloatArray:
 
 def _reached(achieved: FloatArray, desired: FloatArray) -> NDArray[np.int64]:
     return passed_in_order(_points(achieved), _points(desired), desired[..., _DEMANDED])
+
+
+RULES = DrawS()

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import PEN_TIP
+from smp_gym.robot.pen import pen_path
 
-__all__ = ["follow", "moved", "pen_path"]
+__all__ = ["follow", "moved"]
 
 FloatArray = NDArray[np.float64]
 
@@ -23,12 +24,6 @@ _DIRECTION_LENGTH = 1.5e-3
 _LARGEST_STEP = 0.3
 _SMALLEST_STEP = 1e-4
 """Rad that a joint may turn in one iteration, and below which the search ends."""
-
-
-def pen_path(configurations: FloatArray) -> FloatArray:
-    """Return where the pen's tip is, (..., 3) m, for configurations (..., 6) rad."""
-    pose = kinematics.end_effector_pose(configurations)
-    return np.asarray(pose[..., :3, :3] @ PEN_TIP + pose[..., :3, 3])
 
 
 def moved(points: FloatArray, end: Sequence[float], scale: float, yaw: float) -> FloatArray:

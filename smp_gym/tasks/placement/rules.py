@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.robot.kinematics import GRASP_CENTER
-from smp_gym.scene import BIN_HEIGHT, BIN_INNER_HALF_WIDTH
-from smp_gym.tasks.common import POTENTIAL_PER_METRE, goal_columns
-from smp_gym.tasks.placing import GRASP_FINGER_ANGLES, PlacingTask
+from smp_gym.scene import BIN_HEIGHT, BIN_INNER_HALF_WIDTH, Goal, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE
+from smp_gym.tasks.goals import GoalCodec, position, resting_place
+from smp_gym.tasks.placing import GRASP_FINGER_ANGLES, PLACING_FLAGS, SET_DOWN, PlacingTask
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "NOMINAL_BIN",
     "RELEASE_HEIGHT",
     "RELEASE_TILT",
+    "RULES",
     "START_CONFIGURATION",
     "Placement",
 ]
@@ -52,8 +55,21 @@ HELD_OBJECT_POSE = np.eye(4)
 HELD_OBJECT_POSE[:3, 3] = GRASP_CENTER
 HELD_OBJECT_POSE.setflags(write=False)
 
+
+def _encode(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal: where the object's centre shall rest."""
+    return {"object_position": resting_place(scene, 0), **SET_DOWN}
+
+
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+    x, y, z = desired["object_position"].tolist()
+    return (Goal(position=(x, y, z - float(size[2]))),)
+
+
+_GOALS = GoalCodec((position("object_position"), *PLACING_FLAGS), _encode, _decode)
+
 _HEIGHT_TOLERANCE = 0.05
-_POSITION = goal_columns("Placement", "object_position")
+_POSITION = _GOALS.columns("object_position")
 _TOLERANCE = np.array([BIN_INNER_HALF_WIDTH, BIN_INNER_HALF_WIDTH, _HEIGHT_TOLERANCE])
 assert _HEIGHT_TOLERANCE < BIN_HEIGHT - 0.03
 
@@ -69,12 +85,9 @@ class Placement(PlacingTask):
     name: str = "Placement"
 
     support: ClassVar[str] = "bin"
-    goals: ClassVar[int] = 1
-
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the object in the end-effector frame at the start."""
-        return HELD_OBJECT_POSE
+    goal_count: ClassVar[int] = 1
+    goals: ClassVar[GoalCodec] = _GOALS
+    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
 
     def achieved_goal(self, status: Status) -> dict[str, Any]:
         """Return the values of the achieved goal by field name."""
@@ -101,6 +114,5 @@ class Placement(PlacingTask):
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return -POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1)
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: one bin leaves nothing to tell."""
-        return {}
+
+RULES = Placement()

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.scene import ManipulatedObject, Scene
-from smp_gym.tasks.common import (
-    POTENTIAL_PER_METRE,
-    check_playable,
-    goal_columns,
-)
+from smp_gym.scene import Goal, ManipulatedObject, Scene
+from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
+from smp_gym.tasks.goals import GoalCodec, flag, position
 from smp_gym.tasks.status import Status
 
 __all__ = [
@@ -26,6 +24,7 @@ __all__ = [
     "OBJECT_BEHIND",
     "PUSH_FROM",
     "PUSH_LENGTH",
+    "RULES",
     "START_CONFIGURATION",
     "START_SPREAD",
     "TARGET_BEARING",
@@ -88,9 +87,21 @@ HELD_OBJECT_POSE[:3, 3] = HELD_OBJECT_POSE[:3, :3] @ (
 )
 HELD_OBJECT_POSE.setflags(write=False)
 
-_POSITION = goal_columns("PushLiftBox", "object_position")
-_COLLIDED = goal_columns("PushLiftBox", "collided").start
-_HELD = goal_columns("PushLiftBox", "held").start
+
+def _encode(scene: Scene) -> dict[str, Any]:
+    """Return the desired goal: where the box's centre shall be, in the hand."""
+    return {"object_position": scene.goals[0].position, "collided": 0.0, "held": 1.0}
+
+
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+    x, y, z = desired["object_position"].tolist()
+    return (Goal(kind="lift", position=(x, y, z)),)
+
+
+_GOALS = GoalCodec((position("object_position"), flag("collided"), flag("held")), _encode, _decode)
+
+_POSITION = _GOALS.columns("object_position")
+_HELD = _GOALS.columns("held").start
 
 _CONTACTS = frozenset({("hand", "hand"), ("hand", "object"), ("object", "table")})
 
@@ -101,21 +112,21 @@ def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArr
     Args:
         position: (3,) m, the box's centre before the push.
         yaw: of the box, rad.
-        shares: (N,) of the way: 0 behind the box, 1 at the end of the push.
+        shares: (N,) of the distance: 0 behind the box, 1 at the end of the push.
     """
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     aside = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     approach = np.cos(HAND_TILT) * ahead - np.array([0.0, 0.0, np.sin(HAND_TILT)])
-    way = np.asarray(shares) * (PUSH_FROM + OBJECT_BEHIND + PUSH_LENGTH) - PUSH_FROM
-    poses = np.tile(np.eye(4), (len(way), 1, 1))
+    travelled = np.asarray(shares) * (PUSH_FROM + OBJECT_BEHIND + PUSH_LENGTH) - PUSH_FROM
+    poses = np.tile(np.eye(4), (len(travelled), 1, 1))
     poses[:, :3, :3] = np.stack([approach, aside, np.cross(approach, aside)], axis=1)
-    poses[:, :2, 3] = np.asarray(position)[:2] + way[:, None] * ahead[:2]
+    poses[:, :2, 3] = np.asarray(position)[:2] + travelled[:, None] * ahead[:2]
     poses[:, 2, 3] = HAND_HEIGHT
     return poses
 
 
 @dataclass(frozen=True)
-class PushLiftBox:
+class PushLiftBox(CommonRules):
     """The task of `smp_gym/PushLiftBox-v0`.
 
     Success: the box's centre is within `TOLERANCE` of the target, the hand grips it, and nothing
@@ -124,17 +135,13 @@ class PushLiftBox:
     """
 
     name: str = "PushLiftBox"
-    version: int = 0
 
-    @property
-    def object_in_hand(self) -> FloatArray:
-        """(4, 4) pose of the box in the end-effector frame once the hand holds it."""
-        return HELD_OBJECT_POSE
+    goals: ClassVar[GoalCodec] = _GOALS
+    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
-        if scene.task != self.name:
-            raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
+        super().check_scene(scene)
         if scene.manipulated is None or scene.manipulated.position is None:
             raise ValueError(
                 "scene.manipulated must be a box with a position on the table, got "
@@ -154,7 +161,6 @@ class PushLiftBox:
                 f"the target must be at least {half + TOLERANCE} m above the table, so that the "
                 f"box must be lifted; got {scene.goals[0].position[2]}"
             )
-        check_playable(scene)
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
@@ -168,10 +174,6 @@ class PushLiftBox:
             "held": float(status.held),
         }
 
-    def failure(self, status: Status) -> str:
-        """Return nothing: as long as there is time, the box can be pushed and grasped again."""
-        return ""
-
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., 5) are reached, (...)."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
@@ -179,20 +181,10 @@ class PushLiftBox:
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
-        """Return whether goals (..., 5) tell of a collision, (...)."""
-        collided: BoolArray = achieved[..., _COLLIDED] > 0.5
-        return collided
-
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return that no episode is over without success: a box that fell can be grasped again."""
-        return np.zeros(np.shape(achieved)[:-1], np.bool_)
-
     def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return minus the box's distance from its target, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return np.asarray(-POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1))
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: one target leaves nothing to tell."""
-        return {}
+
+RULES = PushLiftBox()

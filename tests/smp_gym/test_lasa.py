@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from smp_planner.experiments import lasa
+from smp_gym.datasets import lasa
 
 
 @pytest.mark.parametrize("shape", ["Sshape", "WShape", "Multi_Models_1", "Line"])
@@ -45,6 +45,6 @@ def test_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_reading_prints_nothing() -> None:
-    code = "from smp_planner.experiments.lasa import demonstrations; demonstrations('Sshape')"
+    code = "from smp_gym.datasets.lasa import demonstrations; demonstrations('Sshape')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == done.stderr == ""

@@ -1,7 +1,7 @@
 """Obstacles on two legs: candidates near the proposals, and the choice of those that block most.
 
-A way is free where both its legs are, so the share of free ways is the product of the shares of
-free legs, and that is what is made small. A witness is needed on each leg.
+A trajectory is free where both its legs are, so the share of free ones is the product of the shares
+of free legs, and that is what is made small. A witness is needed on each leg.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.compiling import kernel
-from smp_gym.sampling.bits import ones, packed
+from smp_gym.sampling.bitsets import ones, packed
 from smp_gym.sampling.choice import REPEATED, apart
-from smp_gym.sampling.legs import LegFamily
 from smp_gym.sampling.obstacles import BASE_DISTANCE, draw_rows
 from smp_gym.sampling.specification import DifficultySpecification
+from smp_gym.tasks.push_lift_box.legs import LegFamily
 
 __all__ = ["SPARE", "LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
 
@@ -134,7 +134,7 @@ def choose_on_legs(
     able: tuple[BoolArray, BoolArray],
     specification: DifficultySpecification,
 ) -> list[int] | None:
-    """Choose obstacles that leave few ways free, but some clear on each leg.
+    """Choose obstacles that leave few trajectories free, but some clear on each leg.
 
     The first two are the best of all pairs of the most blocking candidates; each further one adds
     most. A proposal that is blocked already still counts a little, so that its neighbours, which

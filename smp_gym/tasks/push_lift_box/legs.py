@@ -1,7 +1,7 @@
-"""Legs: stretches of a way between two rests, varied independently of each other.
+"""Legs: stretches of a trajectory between two rests, varied independently of each other.
 
-Where a way must pass through certain configurations, what leads there and what follows can be
-combined at will: N members of one leg and M of the next make N times M ways.
+Where a trajectory must pass through certain configurations, what leads there and what follows can
+be combined at will: N members of one leg and M of the next make N times M trajectories.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import Body
 from smp_gym.sampling.detours import smoothstep
 from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import Grid, near, rasterise
+from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, within_limits
 
 __all__ = [
@@ -60,12 +60,12 @@ class Members:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg(Body):
+class Leg(MovingBody):
     """A leg of the demonstrated movements, and the body that moves on it.
 
     Attributes:
         demonstrations: (N, T, 6) rad, at the samples of a witness.
-        steps: how many steps of theirs make a whole way.
+        steps: how many steps of theirs make a whole trajectory.
         stride: every so many samples is one that members are compared by; divides T - 1.
         outline: index of the spheres that candidates are compared by; few, but all of the shape.
     """

@@ -1,8 +1,10 @@
 """Scenes of PushLiftBox.
 
-Every way leads the hand behind the box, along the push, and with the box to the target. The push
-is given with the box; the *approach* before it and the *lift* after it are legs, whose members
-combine. Obstacles keep clear of the push and leave few of the ways free, but one as witness.
+Every trajectory leads the hand behind the box, along the push, and with the box to the target. The
+push is given with the box; the *approach* before it and the *lift* after it are legs, whose members
+combine. Obstacles keep clear of the push and leave few of the trajectories free, but one as
+witness; where they are placed without a witness, they keep clear of the lift's end besides, and
+nobody looks for one.
 """
 
 from __future__ import annotations
@@ -17,11 +19,21 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.inverse_kernels import reach_points, reach_pose
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import Body
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.detours import smoothstep
-from smp_gym.sampling.leg_obstacles import choose_on_legs, compare_on_legs, draw_on_legs
-from smp_gym.sampling.legs import (
+from smp_gym.sampling.draws import Draw, SceneSampler
+from smp_gym.sampling.moving_body import MovingBody
+from smp_gym.sampling.obstacles import START_CLEARANCE
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
+from smp_gym.sampling.witness import is_witness
+from smp_gym.scene import TABLE, Goal, ManipulatedObject, Obstacle
+from smp_gym.tasks.push_lift_box import rules as push_lift_box
+from smp_gym.tasks.push_lift_box.leg_obstacles import (
+    choose_on_legs,
+    compare_on_legs,
+    draw_on_legs,
+)
+from smp_gym.tasks.push_lift_box.legs import (
     Leg,
     LegFamily,
     Members,
@@ -30,21 +42,14 @@ from smp_gym.sampling.legs import (
     left_free,
     make_family,
 )
-from smp_gym.sampling.obstacles import START_CLEARANCE
-from smp_gym.sampling.push_lift import draw_box, draw_target, standing
-from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
-from smp_gym.sampling.way import Draw
-from smp_gym.sampling.witness import is_witness
-from smp_gym.scene import TABLE, Goal, ManipulatedObject
-from smp_gym.tasks.push_lift_box import rules as push_lift_box
 
-__all__ = ["draw_push_lift"]
+__all__ = ["SAMPLER"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
-"""Which share of the ways may stay free of obstacles."""
+"""Which share of the trajectories may stay free of obstacles."""
 
 _PROPOSALS = 48
 _TRIALS = 48
@@ -65,7 +70,7 @@ _MAX_CHOICES = 4
 """How many sets of candidates are tried with a pair of families, how many choices with a set."""
 
 _PUSH_KNOTS = 5
-"""Configurations on the way of a push for which inverse kinematics is solved; between them it is
+"""Configurations along a push for which inverse kinematics is solved; between them it is
 interpolated."""
 
 _PUSH_STRIDE = 6
@@ -77,10 +82,13 @@ What is chosen is checked with all of them."""
 
 _BOX_CLEARANCE = 0.03
 _TARGET_CLEARANCE = 0.03
-"""m, of obstacles from the box on its way, and from the box held at the target."""
+"""m, of obstacles from the box while it is pushed, and from the box held at the target."""
 
 _PUSH_SLACK = 0.005
 """m, added to the clearance from the push, for what lies between its samples."""
+
+_ANYTHING = -1.0
+"""m, a clearance that every obstacle has from every trajectory."""
 
 _TABLE_ROWS = np.array([to_row(TABLE)])
 
@@ -100,7 +108,7 @@ class _Movement:
     """
 
     approach: Leg
-    push: Body
+    push: MovingBody
     push_samples: tuple[int, int]
     near: FloatArray
     bearing: float
@@ -178,7 +186,7 @@ def _push(movement: _Movement, box: ManipulatedObject) -> FloatArray:
     begin, end = movement.push_samples
     share = smoothstep(np.linspace(0.0, 1.0, end - begin + 1))
     at = np.linspace(0.0, 1.0, _PUSH_KNOTS)
-    # The polynomial through all knots (Lagrange): the joints' ways are smooth.
+    # The polynomial through all knots (Lagrange): the joints move smoothly.
     weights = [
         np.prod([(share - other) / (knot - other) for other in at if other != knot], axis=0)
         for knot in at
@@ -234,25 +242,34 @@ class _Episode:
     def candidates(
         self,
         families: tuple[LegFamily, LegFamily],
-        specification: DifficultySpecification,
+        clearance: float | None,
         rng: np.random.Generator,
     ) -> FloatArray:
-        """Return rows of obstacles on the legs, but not at start, push and target."""
+        """Return rows of obstacles on the legs, but not at start, push and target.
+
+        Args:
+            families: of approaches and lifts.
+            clearance: m, of the witness; None if there is none to be.
+            rng: source of all randomness.
+        """
         movement = _movement()
         rows = draw_on_legs(families, rng)
         place = np.array(self.box.position)
         ahead = np.array([np.cos(self.box.yaw), np.sin(self.box.yaw), 0.0])
-        way = np.linspace(0.0, push_lift_box.PUSH_LENGTH, 3)[:, None] * ahead
+        shift = np.linspace(0.0, push_lift_box.PUSH_LENGTH, 3)[:, None] * ahead
         radius = np.array([np.linalg.norm(self.box.size)])
-        boxes = np.concatenate([place + way, [self.goal.position]])[:, None]
+        boxes = np.concatenate([place + shift, [self.goal.position]])[:, None]
         pushing = movement.push.paths(self.push[::_PUSH_STRIDE])
         start = movement.approach.paths(self.start[None])
         spheres = movement.push.spheres.radius
-        for path, of, enough in (
-            (boxes, radius, _BOX_CLEARANCE),
-            (start, spheres, START_CLEARANCE),
-            (pushing, spheres, specification.clearance + _PUSH_SLACK),
-        ):
+        shared = [(boxes, radius, _BOX_CLEARANCE), (start, spheres, START_CLEARANCE)]
+        if clearance is None:
+            mean = families[1].members.ends[:1]
+            end = (movement.lift.paths(mean), movement.lift.spheres.radius, START_CLEARANCE)
+            shared += [(pushing, spheres, START_CLEARANCE), end]
+        else:
+            shared.append((pushing, spheres, clearance + _PUSH_SLACK))
+        for path, of, enough in shared:
             rows = rows[kernels.path_clearances(path, of, rows, enough) >= enough]
         return rows
 
@@ -270,9 +287,9 @@ class _Episode:
         rows: FloatArray,
         clearance: float,
     ) -> FloatArray | None:
-        """Return a way (W, 6) rad that keeps its clearance from obstacles, checked densely."""
+        """Return a trajectory (W, 6) rad that keeps its clearance, checked densely."""
         movement = _movement()
-        box = np.array([to_row(standing(self.box))])
+        box = np.array([to_row(_standing(self.box))])
         if not is_witness(
             movement.push, self.push, _TABLE_ROWS, rows, clearance, movement.approach.steps
         ):
@@ -283,27 +300,62 @@ class _Episode:
         ):
             leg = family.leg
             for index in np.flatnonzero(may):
-                way = leg.trajectories(family.members[index : index + 1])[0]
-                if is_witness(leg, way, bodies, rows, clearance, leg.steps):
-                    parts.append(way)
+                trajectory = leg.trajectories(family.members[index : index + 1])[0]
+                if is_witness(leg, trajectory, bodies, rows, clearance, leg.steps):
+                    parts.append(trajectory)
                     break
             else:
                 return None
         return np.concatenate([parts[0], self.push[1:], parts[1][1:]])
 
 
-def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
+def _standing(box: ManipulatedObject) -> Obstacle:
+    """Return a box that stands on the table, as a body."""
+    assert box.position is not None
+    half = box.yaw / 2
+    quaternion = (0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+    return Obstacle(shape="box", position=box.position, quaternion=quaternion, size=box.size)
+
+
+def _around(
+    radius: tuple[float, float], bearing: tuple[float, float], rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Draw a place about the base: x and y in m, and its bearing in rad."""
+    far, turn = rng.uniform(*radius), rng.uniform(*bearing)
+    return float(far * np.cos(turn)), float(far * np.sin(turn)), turn
+
+
+def _draw_box(rng: np.random.Generator) -> ManipulatedObject:
+    """Draw a box that stands on the table."""
+    x, y, bearing = _around(push_lift_box.BOX_RADIUS, push_lift_box.BOX_BEARING, rng)
+    yaw = bearing + rng.uniform(-push_lift_box.BOX_TURN, push_lift_box.BOX_TURN)
+    return ManipulatedObject(position=(x, y, ManipulatedObject().size[2]), yaw=float(yaw))
+
+
+def _draw_target(rng: np.random.Generator) -> Goal:
+    """Draw a point in the air."""
+    x, y, _ = _around(push_lift_box.TARGET_RADIUS, push_lift_box.TARGET_BEARING, rng)
+    return Goal(kind="lift", position=(x, y, float(rng.uniform(*push_lift_box.TARGET_HEIGHT))))
+
+
+def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw a box, a target, a start, obstacles and a witness; None if they do not fit together."""
-    box, goal = draw_box(rng), draw_target(rng)
+    return _draw_scene(difficulty, rng, witnessed=True)
+
+
+def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw a box, a target, a start and obstacles; None if too few trajectories are blocked."""
+    return _draw_scene(difficulty, rng, witnessed=False)
+
+
+def _draw_scene(difficulty: str, rng: np.random.Generator, *, witnessed: bool) -> Draw | None:
+    box, goal = _draw_box(rng), _draw_target(rng)
     spread = np.asarray(push_lift_box.START_SPREAD)
     start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
     specification = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
-    try:
-        episode = _Episode(start, box, _push(_movement(), box), goal)
-        crowd = specification.obstacles > 0
-        families = episode.families(*((_PROPOSALS, _WIDE) if crowd else (_ALONE, 0)), rng)
-    except kinematics.UnreachableError:
-        return None
+    episode = _Episode(start, box, _push(_movement(), box), goal)
+    crowd = specification.obstacles > 0
+    families = episode.families(*((_PROPOSALS, _WIDE) if crowd else (_ALONE, 0)), rng)
     if not (families[0].free[0] and families[1].free[0]):
         return None
     none = np.empty((0, kernels.OBSTACLE_COLUMNS))
@@ -312,24 +364,27 @@ def draw_push_lift(difficulty: str, rng: np.random.Generator) -> Draw | None:
         return None if witness is None else Draw(start, (goal,), none, witness, box)
     trials = episode.trials(rng)
     for _ in range(_CANDIDATE_SETS):
-        drawn = _place(episode, families, trials, specification, rng)
+        drawn = _block(episode, families, trials, specification, rng, witnessed=witnessed)
         if drawn is not None:
             return drawn
     return None
 
 
-def _place(
+def _block(
     episode: _Episode,
     families: tuple[LegFamily, LegFamily],
     trials: list[FloatArray],
     specification: DifficultySpecification,
     rng: np.random.Generator,
+    *,
+    witnessed: bool,
 ) -> Draw | None:
-    """Draw obstacles and find a witness; None if too many ways are free or none."""
+    """Draw obstacles and find a witness; None if too many trajectories are free or none."""
     movement = _movement()
-    rows = episode.candidates(families, specification, rng)
+    clearance = specification.clearance if witnessed else None
+    rows = episode.candidates(families, clearance, rng)
     able = (families[0].able.copy(), families[1].able.copy())
-    candidates = compare_on_legs(rows, families, specification.clearance)
+    candidates = compare_on_legs(rows, families, _ANYTHING if clearance is None else clearance)
     for _ in range(_MAX_CHOICES):
         choice = choose_on_legs(candidates, able, specification)
         if choice is None:
@@ -340,13 +395,18 @@ def _place(
         mean_free = approach[0] and lift[0]
         if mean_free or approach.mean() * lift.mean() > specification.free_share:
             return None
+        if clearance is None:
+            return Draw(episode.start, (episode.goal,), chosen, None, episode.box)
         alive = [
             may & clear[choice].all(axis=0)
             for may, clear in zip(able, candidates.clears, strict=True)
         ]
-        witness = episode.witness(families, alive, chosen, specification.clearance)
+        witness = episode.witness(families, alive, chosen, clearance)
         if witness is not None:
             return Draw(episode.start, (episode.goal,), chosen, witness, episode.box)
         for may, tried in zip(able, alive, strict=True):
             may &= ~tried
     return None
+
+
+SAMPLER = SceneSampler(_draw, _place)

@@ -3,10 +3,10 @@
 With a witness: it follows the episode's stroke but for bumps, short stretches on which the pen is
 led aside. Bump after bump is drawn, until obstacles are found that stand on the stroke there, leave
 the witness its clearance, and cover the checkpoints that it misses there. Of these, and of others
-beside the stroke, those are taken that block most other ways with bumps. The task's own rule has
-the last word.
+beside the stroke, those are taken that block most other trajectories with bumps. The task's own
+rule has the last word.
 
-Without one, obstacles on and beside the stroke are taken that block most ways with bumps.
+Without one, obstacles on and beside the stroke are taken that block most trajectories with bumps.
 """
 
 from __future__ import annotations
@@ -18,20 +18,24 @@ from numpy.typing import NDArray
 
 from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import Body
 from smp_gym.sampling.choice import REPEATED, apart
-from smp_gym.sampling.conversion import to_configuration, to_obstacle, to_row
+from smp_gym.sampling.conversion import to_obstacle, to_row
 from smp_gym.sampling.detours import resample
+from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import Grid, near, rasterise
+from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.obstacles import (
     BASE_DISTANCE,
     HALF_EXTENTS,
     SHAPE_SHARES,
     START_CLEARANCE,
 )
-from smp_gym.sampling.specification import DifficultySpecification
-from smp_gym.sampling.stroke_ways import (
+from smp_gym.sampling.specification import SPECIFICATIONS
+from smp_gym.sampling.witness import is_witness, within_limits
+from smp_gym.scene import SHAPES, TABLE, Goal
+from smp_gym.tasks.draw_s import rules as draw_s
+from smp_gym.tasks.draw_s.stroke_trajectories import (
     BUMP_HALF_WIDTH,
     PHASES,
     Stroke,
@@ -41,11 +45,8 @@ from smp_gym.sampling.stroke_ways import (
     sample_stroke,
     tip_path,
 )
-from smp_gym.sampling.witness import is_witness, within_limits
-from smp_gym.scene import SHAPES, TABLE, Goal, Scene
-from smp_gym.tasks.draw_s import rules as draw_s
 
-__all__ = ["place_without_witness", "sample"]
+__all__ = ["SAMPLER"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -56,7 +57,7 @@ _BUMPS = {"easy": 2, "medium": 3, "hard": 3}
 
 _SAMPLES = 32
 _FAMILY = 64
-"""Samples of the ways that obstacles are compared by, and number of these ways."""
+"""Samples of the trajectories that obstacles are compared by, and number of these trajectories."""
 
 _ON_STROKE = 48
 _BESIDE = 96
@@ -79,12 +80,11 @@ _SLACK = 0.005
 
 _MAX_BUMPS = 16
 _MAX_WITNESSES = 12
-_MAX_DRAWS = 200
-"""How often a bump is drawn, how many witnesses for a stroke, and how many strokes in all."""
+"""How often a bump is drawn, and how many witnesses for a stroke."""
 
 
 def _draw_rows(
-    body: Body,
+    body: MovingBody,
     stroke: Stroke,
     phase: FloatArray,
     aside: FloatArray,
@@ -120,13 +120,12 @@ def _draw_rows(
     rows = rows[kept]
     ends = kernels.point_distances(stroke.checkpoints[[0, -1]], rows)
     rows = rows[ends.min(axis=1) >= _END_DISTANCE]
-    start = body.paths(stroke.way[:1])
-    clear = kernels.path_clearances(start, body.spheres.radius, rows, START_CLEARANCE)
+    clear = body.clearances(stroke.trajectory[:1], rows, START_CLEARANCE)
     return rows[clear >= START_CLEARANCE]
 
 
 def _draw_on_stroke(
-    body: Body, stroke: Stroke, center: float, aside: FloatArray, rng: np.random.Generator
+    body: MovingBody, stroke: Stroke, center: float, aside: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Draw obstacles that a stroke enters near a phase; (C, 3) `aside` as in `_draw_rows`."""
     reach = 0.4 * BUMP_HALF_WIDTH[0]
@@ -137,7 +136,7 @@ def _draw_on_stroke(
 
 
 def _draw_beside(
-    body: Body, stroke: Stroke, centers: FloatArray, rng: np.random.Generator
+    body: MovingBody, stroke: Stroke, centers: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Draw obstacles anywhere near a stroke's places (B,) of bumps."""
     phase = rng.choice(centers, _BESIDE) + rng.uniform(-0.05, 0.05, _BESIDE)
@@ -159,75 +158,75 @@ def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
     return np.asarray(distance < draw_s.COVERED_DISTANCE)
 
 
-def _keeps_clear(body: Body, way: FloatArray, rows: FloatArray, enough: float) -> BoolArray:
-    """Return from which obstacles (M,) every other sample of a way (T, 6) rad keeps a distance."""
+def _keeps_clear(
+    body: MovingBody, trajectory: FloatArray, rows: FloatArray, enough: float
+) -> BoolArray:
+    """Return from which obstacles (M,) every other sample of a trajectory keeps a distance."""
     kept = np.ones(len(rows), np.bool_)
     # A glance at few samples spares the close look at most.
     for stride in (20, 2):
-        path = body.paths(way[::stride])
-        clear = kernels.path_clearances(path, body.spheres.radius, rows[kept], enough)
-        kept[kept] = clear >= enough
+        kept[kept] = body.clearances(trajectory[::stride], rows[kept], enough) >= enough
     return kept
 
 
 @dataclass(frozen=True, eq=False)
 class _Bumpy:
-    """A way with bumps, (200, 6) rad, and obstacles that it avoids: (M, 9) rows, (M,) whose bump.
+    """A trajectory with bumps, (200, 6) rad, and (M, 9) obstacles that it avoids, (M,) whose bump.
 
     Obstacles beside the stroke belong to no bump, -1.
     """
 
-    way: FloatArray
+    trajectory: FloatArray
     rows: FloatArray
     bump: IntArray
 
 
 def _draw_bumpy(
-    body: Body, stroke: Stroke, bumps: int, enough: float, rng: np.random.Generator
+    body: MovingBody, stroke: Stroke, bumps: int, enough: float, rng: np.random.Generator
 ) -> _Bumpy | None:
-    """Draw a way with bumps and obstacles at least `enough` metres off it; None if it fails.
+    """Draw a trajectory with bumps and obstacles at least `enough` metres off it; None if it fails.
 
     Each of its bumps has obstacles on the stroke that cover all checkpoints missed there.
     """
     centers = sample_centers(1, bumps, rng)[0]
-    way = stroke.way
+    trajectory = stroke.trajectory
     rows = np.empty((0, kernels.OBSTACLE_COLUMNS))
     bump = np.empty(0, np.int64)
     for k, center in enumerate(centers):
         # Where later bumps will be, nothing is known yet.
         known = (np.abs(PHASES - centers[k + 1 :, None]) > BUMP_HALF_WIDTH[1]).all(axis=0)
         drawn = lead_aside(stroke, np.full((_MAX_BUMPS, 1), center), rng)
-        ways = drawn.along(PHASES)
-        for n in np.flatnonzero(within_limits(way + ways)):
-            added = ways[n]
+        trajectories = drawn.along(PHASES)
+        for n in np.flatnonzero(within_limits(trajectory + trajectories)):
+            added = trajectories[n]
             aside = np.tile(drawn.aside[n], (_ON_STROKE, 1))
             fresh = _draw_on_stroke(body, stroke, center, aside, rng)
-            missed = _missed(stroke, stroke.way + added)
+            missed = _missed(stroke, stroke.trajectory + added)
             fresh = fresh[~(missed & ~_covered(stroke, fresh)).any(axis=1)]
             if not len(fresh):
                 continue
             found = np.concatenate([rows, fresh])
             whose = np.concatenate([bump, np.full(len(fresh), k)])
-            kept = _keeps_clear(body, (way + added)[known], found, enough)
+            kept = _keeps_clear(body, (trajectory + added)[known], found, enough)
             found, whose = found[kept], whose[kept]
             if len(np.unique(whose)) == k + 1:
-                way, rows, bump = way + added, found, whose
+                trajectory, rows, bump = trajectory + added, found, whose
                 break
         else:
             return None
     beside = _draw_beside(body, stroke, centers, rng)
     rows = np.concatenate([rows, beside])
     bump = np.concatenate([bump, np.full(len(beside), -1)])
-    kept = _keeps_clear(body, way, rows, enough)
-    return _Bumpy(way, rows[kept], bump[kept])
+    kept = _keeps_clear(body, trajectory, rows, enough)
+    return _Bumpy(trajectory, rows[kept], bump[kept])
 
 
-def _grid(body: Body, stroke: Stroke, bumps: int, rng: np.random.Generator) -> Grid:
-    """Return the grid of ways along a stroke, the first without bumps."""
+def _grid(body: MovingBody, stroke: Stroke, bumps: int, rng: np.random.Generator) -> Grid:
+    """Return the grid of trajectories along a stroke, the first without bumps."""
     aside = lead_aside(stroke, sample_centers(_FAMILY - 1, bumps, rng), rng)
-    ways = np.repeat(resample(stroke.way[None], _SAMPLES), _FAMILY, axis=0)
-    ways[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))
-    return rasterise(body.paths(ways, body.swept), body.spheres.radius[body.swept])
+    trajectories = np.repeat(resample(stroke.trajectory[None], _SAMPLES), _FAMILY, axis=0)
+    trajectories[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))
+    return rasterise(body.paths(trajectories, body.swept), body.spheres.radius[body.swept])
 
 
 def _choose(
@@ -244,7 +243,7 @@ def _choose(
     Args:
         rows: (M, 9) to choose from.
         bump: (M,) at which bump each is on the stroke, or -1.
-        blocks: (M, N), which ways each blocks.
+        blocks: (M, N), which trajectories each blocks.
         covers: (M, 32), which checkpoints each covers.
         missed: (32,), which checkpoints the chosen must cover.
         bumps: how many there are.
@@ -262,7 +261,7 @@ def _choose(
         hidden = covers[chosen].any(axis=0)
         allowed &= (covers | hidden).sum(axis=1) <= covers.shape[1] - _LEAST_DEMANDED
         weight = REPEATED ** blocks[chosen].sum(axis=0)
-        # Coverage of what is missed counts most, then how many ways are blocked.
+        # Coverage of what is missed counts most, then how many trajectories are blocked.
         worth = blocks.shape[1] * (covers & missed & ~hidden).sum(axis=1)
         worth = np.where(allowed, worth + (blocks * weight).sum(axis=1), -1.0)
         if not len(worth) or worth.max() < 0.0:
@@ -271,29 +270,18 @@ def _choose(
     return None if (missed & ~covers[chosen].any(axis=0)).any() else chosen
 
 
-@dataclass(frozen=True, eq=False)
-class _Draw:
-    """One draw: stroke, which checkpoints are demanded, (M, 9) obstacles, (200, 6) witness."""
-
-    stroke: Stroke
-    demanded: BoolArray
-    rows: FloatArray
-    witness: FloatArray
-
-
-def _draw(
-    specification: DifficultySpecification, difficulty: str, rng: np.random.Generator
-) -> _Draw | None:
+def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw a stroke, a witness and obstacles; None if they do not fit together."""
+    specification = SPECIFICATIONS[difficulty]
     body, stroke = drawing_body(), sample_stroke(rng)
     if stroke is None:
         return None
     bodies = np.array([to_row(TABLE)])
     if specification.obstacles == 0:
         none = np.empty((0, kernels.OBSTACLE_COLUMNS))
-        if not is_witness(body, stroke.way, bodies, none, 0.0):
+        if not is_witness(body, stroke.trajectory, bodies, none, 0.0):
             return None
-        return _Draw(stroke, np.ones(len(stroke.checkpoints), np.bool_), none, stroke.way)
+        return _drawn(stroke, np.ones(len(stroke.checkpoints), np.bool_), none, stroke.trajectory)
     bumps = _BUMPS[difficulty]
     grid = None
     for _ in range(_MAX_WITNESSES):
@@ -306,7 +294,7 @@ def _draw(
             found.bump,
             near(grid, found.rows, -BLOCKING_DEPTH, _FAMILY),
             _covered(stroke, found.rows),
-            _missed(stroke, found.way),
+            _missed(stroke, found.trajectory),
             bumps,
             specification.obstacles,
         )
@@ -314,23 +302,18 @@ def _draw(
             continue
         rows = found.rows[chosen]
         hidden = draw_s.covered(stroke.checkpoints, [to_obstacle(row) for row in rows])
-        trace = draw_s.equal_arc(tip_path(found.way)[:, 0])
+        trace = draw_s.equal_arc(tip_path(found.trajectory)[:, 0])
         passed = draw_s.passed_in_order(trace, stroke.checkpoints, 1.0 - hidden)
         if passed == len(hidden) and is_witness(
-            body, found.way, bodies, rows, specification.clearance
+            body, found.trajectory, bodies, rows, specification.clearance
         ):
-            return _Draw(stroke, ~hidden, rows, found.way)
+            return _drawn(stroke, ~hidden, rows, found.trajectory)
     return None
 
 
-def _scene(
-    stroke: Stroke,
-    demanded: BoolArray,
-    rows: FloatArray,
-    difficulty: str,
-    seed: int | None,
-    version: int,
-) -> Scene:
+def _drawn(
+    stroke: Stroke, demanded: BoolArray, rows: FloatArray, witness: FloatArray | None = None
+) -> Draw:
     points = tuple((x, y, z) for x, y, z in stroke.checkpoints.tolist())
     goal = Goal(
         kind="stroke",
@@ -338,65 +321,33 @@ def _scene(
         checkpoints=points,
         demanded=tuple(demanded.tolist()),
     )
-    return Scene(
-        task="DrawS",
-        version=version,
-        difficulty=difficulty,  # type: ignore[arg-type]
-        seed=seed,
-        start=to_configuration(stroke.way[0]),
-        goals=(goal,),
-        obstacles=tuple(to_obstacle(row) for row in rows),
-    )
+    return Draw(stroke.trajectory[0], (goal,), rows, witness, manipulated=None)
 
 
-def sample(
-    specification: DifficultySpecification,
-    rng: np.random.Generator,
-    difficulty: str,
-    seed: int,
-    version: int,
-) -> tuple[Scene, FloatArray]:
-    """Return a scene of DrawS and its witness; see `smp_gym.sampling.sample_with_witness`."""
-    for _ in range(_MAX_DRAWS):
-        drawn = _draw(specification, difficulty, rng)
-        if drawn is not None:
-            scene = _scene(drawn.stroke, drawn.demanded, drawn.rows, difficulty, seed, version)
-            return scene, drawn.witness
-    raise RuntimeError(f"no solvable scene found for DrawS, {difficulty}, seed {seed}")
+def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw a stroke and obstacles that block most; None if too few of them do."""
+    body, bumps, stroke = drawing_body(), _BUMPS[difficulty], sample_stroke(rng)
+    if stroke is None:
+        return None
+    centers = sample_centers(1, bumps, rng)[0]
+    nowhere = np.zeros((_ON_STROKE, 3))
+    parts = [_draw_on_stroke(body, stroke, center, nowhere, rng) for center in centers]
+    beside = _draw_beside(body, stroke, centers, rng)
+    rows = np.concatenate([*parts, beside])
+    numbers = [*range(bumps), -1]
+    bump = np.repeat(numbers, [len(part) for part in (*parts, beside)])
+    # Every trajectory ends where this one does.
+    clear = body.clearances(stroke.trajectory[-1:], rows, START_CLEARANCE) >= START_CLEARANCE
+    rows, bump = rows[clear], bump[clear]
+    blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _FAMILY)
+    covers = _covered(stroke, rows)
+    nothing = np.zeros(covers.shape[1], np.bool_)
+    count = SPECIFICATIONS[difficulty].obstacles
+    chosen = _choose(rows, bump, blocks, covers, nothing, bumps, count)
+    if chosen is None:
+        return None
+    hidden = draw_s.covered(stroke.checkpoints, [to_obstacle(row) for row in rows[chosen]])
+    return _drawn(stroke, ~hidden, rows[chosen])
 
 
-def place_without_witness(
-    specification: DifficultySpecification,
-    rng: np.random.Generator,
-    difficulty: str,
-    seed: int,
-    version: int,
-) -> Scene:
-    """Return a scene of DrawS placed without a witness; see `smp_gym.sampling.unwitnessed`."""
-    body, bumps = drawing_body(), _BUMPS[difficulty]
-    for _ in range(_MAX_DRAWS):
-        stroke = sample_stroke(rng)
-        if stroke is None:
-            continue
-        centers = sample_centers(1, bumps, rng)[0]
-        parts = [
-            _draw_on_stroke(body, stroke, center, np.zeros((_ON_STROKE, 3)), rng)
-            for center in centers
-        ]
-        bump = np.repeat(np.arange(bumps), [len(part) for part in parts])
-        beside = _draw_beside(body, stroke, centers, rng)
-        rows = np.concatenate([*parts, beside])
-        bump = np.concatenate([bump, np.full(len(beside), -1)])
-        # Every way ends where this one does.
-        end = body.paths(stroke.way[-1:])
-        clear = kernels.path_clearances(end, body.spheres.radius, rows, START_CLEARANCE)
-        rows, bump = rows[clear >= START_CLEARANCE], bump[clear >= START_CLEARANCE]
-        blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _FAMILY)
-        covers = _covered(stroke, rows)
-        nothing = np.zeros(covers.shape[1], np.bool_)
-        count = specification.obstacles
-        chosen = _choose(rows, bump, blocks, covers, nothing, bumps, count)
-        if chosen is not None:
-            hidden = draw_s.covered(stroke.checkpoints, [to_obstacle(row) for row in rows[chosen]])
-            return _scene(stroke, ~hidden, rows[chosen], difficulty, None, version)
-    raise RuntimeError(f"no obstacles block enough in DrawS, {difficulty}, seed {seed}")
+SAMPLER = SceneSampler(_draw, _place)

@@ -1,4 +1,4 @@
-"""Ways of the arm along a stroke: the one that draws it, and others that leave it in bumps."""
+"""Trajectories along a stroke: the one that draws it, and others that leave it in bumps."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import PEN_TIP
 from smp_gym.sampling import kernels
-from smp_gym.sampling.body import Body
 from smp_gym.sampling.detours import smoothstep
+from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.witness import WITNESS_SAMPLES, within_limits
-from smp_gym.tasks.draw_s import rules as draw_s
+from smp_gym.tasks.draw_s.rules import equal_arc
 from smp_gym.tasks.draw_s.strokes import follow, moved
 
 __all__ = [
@@ -50,7 +50,7 @@ START_SHIFT = 0.02
 
 PHASES = np.linspace(0.0, 1.0, WITNESS_SAMPLES)
 PHASES.setflags(write=False)
-"""(200,) phases of a way's samples."""
+"""(200,) phases of a trajectory's samples."""
 
 _START_BLEND = 0.15
 """Share of the phase in which a movement joins the stroke."""
@@ -71,23 +71,13 @@ _MAX_ERROR = 1e-4
 
 
 @functools.lru_cache(maxsize=1)
-def drawing_body() -> Body:
+def drawing_body() -> MovingBody:
     """Return the demonstrated movements of DrawS, and arm, fingers and pen."""
     demonstrations = Demonstrations.load("DrawS")
-    parts = (
-        kinematics.arm_spheres(),
-        kinematics.finger_spheres(demonstrations.metadata["finger_angles"]),
+    return MovingBody.holding(
+        demonstrations.configurations,
+        demonstrations.metadata["finger_angles"],
         kinematics.pen_spheres(),
-    )
-    spheres = kinematics.concatenate(*parts)
-    moving = np.flatnonzero(spheres.link >= 2)
-    fingers = np.arange(len(parts[0]), len(parts[0]) + len(parts[1]))
-    return Body(
-        demonstrations=demonstrations.configurations,
-        spheres=spheres,
-        moving=moving,
-        swept=np.setdiff1d(moving, fingers),
-        pairs=kinematics.self_collision_pairs(spheres),
     )
 
 
@@ -99,7 +89,7 @@ def _template() -> tuple[FloatArray, FloatArray]:
 
 
 def tip_path(trajectory: FloatArray) -> FloatArray:
-    """Return the way (T, 1, 3) m of the pen's tip on a trajectory (T, 6) rad."""
+    """Return the path (T, 1, 3) m of the pen's tip on a trajectory (T, 6) rad."""
     hand = len(kinematics.LINKS) - 1
     tip = kinematics.END_EFFECTOR[:3, :3] @ PEN_TIP + kinematics.END_EFFECTOR[:3, 3]
     return kernels.sphere_paths(
@@ -113,25 +103,25 @@ def tip_path(trajectory: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
-    """One episode's stroke, and the way of the arm along it.
+    """One episode's stroke, and the trajectory of the arm along it.
 
     Attributes:
         checkpoints: (32, 3) m.
         line: (200, 3) m.
-        way: (200, 6) rad, from the episode's start.
-        jacobian: (200, 3, 6) m/rad, of the pen's tip on the way.
+        trajectory: (200, 6) rad, from the episode's start.
+        jacobian: (200, 3, 6) m/rad, of the pen's tip on the trajectory.
         pointing: (200, 3) unit vectors along the pen.
     """
 
     checkpoints: FloatArray
     line: FloatArray
-    way: FloatArray
+    trajectory: FloatArray
     jacobian: FloatArray
     pointing: FloatArray
 
 
 def sample_stroke(rng: np.random.Generator) -> Stroke | None:
-    """Draw a stroke and the way of the arm along it; None if the arm cannot follow it."""
+    """Draw a stroke and the trajectory of the arm along it; None if the arm cannot follow it."""
     points, posture = _template()
     end = points[-1] + rng.uniform(-1.0, 1.0, 3) * END_SHIFT
     yaw = float(rng.uniform(-YAW, YAW))
@@ -144,27 +134,27 @@ def sample_stroke(rng: np.random.Generator) -> Stroke | None:
     shift *= rng.uniform(0.0, START_SHIFT) / np.sqrt((shift**2).sum())
     first = demonstrations[rng.integers(len(demonstrations)), 0] + (near - posture)[0]
     # The start is solved for along with the line.
-    way, error = follow(np.vstack([line, line[0] + shift]), np.vstack([near, first]))
+    trajectory, error = follow(np.vstack([line, line[0] + shift]), np.vstack([near, first]))
     if error > _MAX_ERROR:
         return None
-    start, way = way[-1], way[:-1]
+    start, trajectory = trajectory[-1], trajectory[:-1]
     join = 1.0 - smoothstep(np.minimum(PHASES / _START_BLEND, 1.0))
-    way = way + join[:, None] * (start - way[0])
-    if not within_limits(way):
+    trajectory = trajectory + join[:, None] * (start - trajectory[0])
+    if not within_limits(trajectory):
         return None
-    links = kinematics.link_transforms(way)
+    links = kinematics.link_transforms(trajectory)
     pose = links[:, -1] @ kinematics.END_EFFECTOR
     tip = pose[:, :3, :3] @ PEN_TIP + pose[:, :3, 3]
     arms = tip[:, None] - links[:, 1:, :3, 3]
     jacobian = np.swapaxes(np.cross(links[:, 1:, :3, 2], arms), 1, 2)
-    return Stroke(draw_s.equal_arc(line), line, way, jacobian, pose[:, :3, 0])
+    return Stroke(equal_arc(line), line, trajectory, jacobian, pose[:, :3, 0])
 
 
 @dataclass(frozen=True, eq=False)
 class Bumps:
-    """Bumps of N ways: (N, B) centre and half width in phase, (N, B, 3) direction, (N, B, 6) top.
+    """Bumps of N trajectories: (N, B) centre and half width in phase, (N, B, 3) direction, and top.
 
-    The top is what the joints add in the middle of a bump, rad.
+    The top (N, B, 6) is what the joints add in the middle of a bump, rad.
     """
 
     center: FloatArray
@@ -180,7 +170,7 @@ class Bumps:
 
 
 def sample_centers(count: int, bumps: int, rng: np.random.Generator) -> FloatArray:
-    """Draw in which phases the bumps of `count` ways have their middles, (count, bumps)."""
+    """Draw in which phases the bumps of `count` trajectories have their middles, (count, bumps)."""
     first, last = _BUMP_REGION
     free = last - first - (bumps - 1) * _BUMP_SPACING
     center = np.sort(rng.uniform(0.0, free, (count, bumps)), axis=1)
@@ -191,7 +181,7 @@ def lead_aside(stroke: Stroke, center: FloatArray, rng: np.random.Generator) -> 
     """Draw bumps with their middles in phases (N, B)."""
     shape = center.shape
     half_width = rng.uniform(*BUMP_HALF_WIDTH, shape)
-    at = np.rint(center * (len(stroke.way) - 1)).astype(np.int64)
+    at = np.rint(center * (len(stroke.trajectory) - 1)).astype(np.int64)
     forward = stroke.pointing[at]
     aside = rng.standard_normal((*shape, 3))
     aside /= np.sqrt((aside**2).sum(axis=-1, keepdims=True))

@@ -1,0 +1,94 @@
+"""Draws: what a task's sampler returns, and scenes made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.robot.kinematics import UnreachableError
+from smp_gym.sampling.conversion import to_configuration, to_obstacle
+from smp_gym.scene import Goal, ManipulatedObject, Scene
+
+__all__ = ["Draw", "SceneSampler", "first_scene"]
+
+FloatArray = NDArray[np.float64]
+
+_DEFAULT_OBJECT = ManipulatedObject()
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """What one scene draws at random.
+
+    Attributes:
+        start: (6,) rad.
+        goals: of the scene.
+        rows: (M, 9) rows of obstacles, see `smp_gym.sampling.kernels`.
+        witness: (W, 6) rad, a feasible reference trajectory; None where none was looked for.
+        manipulated: the object, or None.
+    """
+
+    start: FloatArray
+    goals: tuple[Goal, ...]
+    rows: FloatArray
+    witness: FloatArray | None = None
+    manipulated: ManipulatedObject | None = _DEFAULT_OBJECT
+
+
+Drawing = Callable[[str, np.random.Generator], Draw | None]
+
+
+@dataclass(frozen=True)
+class SceneSampler:
+    """What draws the scenes of a task.
+
+    Each function takes difficulty (or kind of furniture) and source of randomness, and returns None
+    or raises `UnreachableError` where what it drew does not fit together: it is then called again.
+
+    Attributes:
+        draw: draws goals, obstacles and a feasible reference trajectory.
+        place: draws goals and obstacles without looking for one; None if the task has no such
+            scenes.
+        furnish: draws goals, furniture and a feasible reference trajectory; None if the task has no
+            such scenes.
+    """
+
+    draw: Drawing
+    place: Drawing | None = None
+    furnish: Drawing | None = None
+
+
+def first_scene(
+    drawing: Drawing, kind: str, rng: np.random.Generator, attempts: int, **identity: Any
+) -> tuple[Scene, FloatArray | None]:
+    """Draw until everything fits together; return the scene and its witness.
+
+    Args:
+        drawing: draws once.
+        kind: difficulty or kind of furniture.
+        rng: source of all randomness.
+        attempts: how often at most.
+        identity: fields of the `Scene` that say which it is: task, version, difficulty, seed.
+
+    Raises:
+        RuntimeError: nothing fitted together.
+    """
+    for _ in range(attempts):
+        try:
+            drawn = drawing(kind, rng)
+        except UnreachableError:
+            continue
+        if drawn is not None:
+            scene = Scene(
+                **identity,
+                start=to_configuration(drawn.start),
+                manipulated=drawn.manipulated,
+                goals=drawn.goals,
+                obstacles=tuple(to_obstacle(row) for row in drawn.rows),
+            )
+            return scene, drawn.witness
+    raise RuntimeError(f"no scene found for {identity}")

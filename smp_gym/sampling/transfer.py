@@ -1,0 +1,137 @@
+"""Transfers: demonstrated movements of a held object to a goal, carried to another goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
+from smp_gym.sampling.detours import resample, smoothstep
+from smp_gym.sampling.moving_body import MovingBody
+from smp_gym.scene import Configuration, Goal, ManipulatedObject
+
+__all__ = ["Query", "Transfer", "carry", "make_transfer", "release_configuration"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer(MovingBody):
+    """What sampling needs to know of a movement that sets an object down.
+
+    Attributes:
+        start: (6,) rad.
+        release_rotation: (3, 3) orientation of the end effector at the demonstrations' mean end.
+        release_height: m, of the object's centre over the goal there.
+        nominal_goal: (3,) m, mean goal of the demonstrations.
+        held: (4, 4) pose of the held object in the end-effector frame.
+        goal_clearance: m, of obstacles from the bodies of goals, sideways.
+        samples: of each member of a family.
+        proposals: how many detours of ordinary width are drawn.
+        wide: how many wide ones.
+    """
+
+    start: FloatArray
+    release_rotation: FloatArray
+    release_height: float
+    nominal_goal: FloatArray
+    held: FloatArray
+    goal_clearance: float
+    samples: int = 20
+    proposals: int = 104
+    wide: int = 144
+
+
+def make_transfer(
+    demonstrations: Demonstrations,
+    which: NDArray[np.bool_] | slice,
+    goal: int,
+    start: Configuration,
+    held: FloatArray,
+    goal_clearance: float,
+    **counts: int,
+) -> Transfer:
+    """Return the transfer that demonstrations show.
+
+    Args:
+        demonstrations: of the task.
+        which: of them show it.
+        goal: index of the goal in each of their scenes.
+        start: rad.
+        held: (4, 4) pose of the held object in the end-effector frame.
+        goal_clearance: m, of obstacles from the bodies of goals, sideways.
+        counts: `proposals`, where they differ.
+    """
+    shown = demonstrations.configurations[which]
+    goals = np.array([scene.goals[goal].position for scene in demonstrations.scenes]).mean(axis=0)
+    pose = kinematics.end_effector_pose(shown.mean(axis=0)[-1])
+    return Transfer.holding(
+        shown,
+        demonstrations.metadata["finger_angles"],
+        kinematics.box_spheres(ManipulatedObject().size, held),
+        start=np.asarray(start, np.float64),
+        release_rotation=pose[:3, :3],
+        release_height=float((pose @ held)[2, 3] - goals[2]),
+        nominal_goal=goals,
+        held=np.asarray(held),
+        goal_clearance=goal_clearance,
+        **counts,
+    )
+
+
+def release_configuration(transfer: Transfer, goal: Goal) -> FloatArray:
+    """Return the (6,) rad of the release over a goal: the demonstrated one, turned about the base.
+
+    Raises:
+        UnreachableError: the goal is out of reach.
+    """
+    position = np.asarray(goal.position)
+    turn = np.arctan2(position[1], position[0]) - np.arctan2(
+        transfer.nominal_goal[1], transfer.nominal_goal[0]
+    )
+    c, s = np.cos(turn), np.sin(turn)
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ transfer.release_rotation
+    center = position + np.array([0.0, 0.0, transfer.release_height])
+    held = transfer.held[:3, 3]
+    seed = transfer.demonstrations[:, -1].mean(axis=0)
+    seed[0] -= turn
+    return kinematics.inverse_kinematics(center - rotation @ held, rotation, seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """What is to be done in a scene: one transfer, to one of its goals.
+
+    Attributes:
+        transfer: the movement that leads there.
+        goals: all of the scene; the bodies of all must be left free.
+        number: index of the goal in which the transfer ends.
+    """
+
+    transfer: Transfer
+    goals: tuple[Goal, ...]
+    number: int = 0
+
+    @property
+    def goal(self) -> Goal:
+        """The goal in which the transfer ends."""
+        return self.goals[self.number]
+
+    @cached_property
+    def release(self) -> FloatArray:
+        """(6,) rad, the configuration in which it ends; UnreachableError if it is out of reach."""
+        return release_configuration(self.transfer, self.goal)
+
+
+def carry(transfer: Transfer, goal: FloatArray, samples: int) -> FloatArray:
+    """Return the demonstrations, (N, samples, 6), blended to start and goal configuration (6,)."""
+    carried = resample(transfer.demonstrations, samples)
+    blend = smoothstep(np.linspace(0.0, 1.0, samples))[:, None]
+    to_start = (transfer.start - carried[:, 0])[:, None]
+    to_goal = (goal - carried[:, -1])[:, None]
+    result: FloatArray = carried + (1.0 - blend) * to_start + blend * to_goal
+    return result

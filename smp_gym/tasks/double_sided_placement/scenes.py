@@ -1,0 +1,150 @@
+"""Scenes of DoubleSidedPlacement: a pad on either side, and obstacles or furniture before both."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot import kinematics
+from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.conversion import to_row
+from smp_gym.sampling.draws import Draw, SceneSampler
+from smp_gym.sampling.furnished import furnish
+from smp_gym.sampling.obstacles import START_CLEARANCE
+from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
+from smp_gym.sampling.transfer import Query, Transfer, make_transfer
+from smp_gym.scene import Goal, Obstacle
+from smp_gym.tasks.double_sided_placement.rules import (
+    HELD_OBJECT_POSE,
+    NOMINAL_PADS,
+    PAD_LOWEST,
+    PAD_SHIFT,
+    PAD_TOP,
+    START_CONFIGURATION,
+)
+
+__all__ = ["SAMPLER", "demonstrated_transfers"]
+
+FloatArray = NDArray[np.float64]
+
+_GOAL_CLEARANCE = 0.01
+"""m, of obstacles from the pads, sideways."""
+
+_FREE_SHARES = {"none": 1.0, "easy": 0.015, "medium": 0.0, "hard": 0.0}
+_CLOSED = ("hard",)
+"""Which share of the proposals for each pad may stay free, and at which difficulties the other side
+is closed off: its only obstacle stands on the pad and leaves no room there."""
+
+_STOPPER_HALF_EXTENTS = (0.05, 0.06)
+"""m, of what stands on a pad that is closed off: between it and the pad's edge no object fits with
+its centre over the pad."""
+
+_PROPOSALS = 168
+"""To each pad: two goals are two chances to get through, so each has to be blocked more surely."""
+
+_SIDE_DRAWS = 6
+"""How many families are tried on the second of two furnished sides."""
+
+
+@functools.lru_cache(maxsize=1)
+def demonstrated_transfers() -> tuple[Transfer, Transfer]:
+    """Return the movements to the left and to the right that the demonstrations show."""
+    shown = Demonstrations.load("DoubleSidedPlacement")
+    left = kinematics.end_effector_pose(shown.configurations[:, -1])[:, 1, 3] > 0.0
+    one, other = (
+        make_transfer(
+            shown,
+            which,
+            side,
+            START_CONFIGURATION,
+            HELD_OBJECT_POSE,
+            _GOAL_CLEARANCE,
+            proposals=_PROPOSALS,
+        )
+        for side, which in enumerate((left, ~left))
+    )
+    return one, other
+
+
+def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
+    """Draw a pad on either side, and which of them comes first."""
+    pads = []
+    for x, y, _ in NOMINAL_PADS:
+        radius = PAD_SHIFT * np.sqrt(rng.uniform())
+        angle = rng.uniform(-np.pi, np.pi)
+        z = rng.uniform(PAD_LOWEST, PAD_TOP)
+        position = (x + float(radius * np.cos(angle)), y + float(radius * np.sin(angle)), float(z))
+        pads.append(Goal(kind="pad", position=position))
+    one, other = demonstrated_transfers()
+    queries = Query(one, tuple(pads), 0), Query(other, tuple(pads), 1)
+    return queries if rng.integers(2) == 0 else queries[::-1]
+
+
+def _specifications(
+    difficulty: str,
+) -> tuple[DifficultySpecification, DifficultySpecification | None]:
+    """Return what a difficulty means for the one and the other side; None if that is closed off."""
+    one = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
+    return one, None if difficulty in _CLOSED else one
+
+
+def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw two pads, obstacles on both sides and a witness; None if they do not fit together.
+
+    The first side is sure to be open, and the witness goes there. The other one either
+    has a witness, too, or is closed off.
+    """
+    first, second = _draw_queries(rng)
+    one, other = _specifications(difficulty)
+    drawn = block_around_witness(first, one, rng)
+    if drawn is None or drawn.witness is None:
+        return None
+    if other is not None:
+        return block_around_witness(second, other, rng, drawn)
+    rows = _stopper(second.goal, rng)
+    enough = max(one.clearance, START_CLEARANCE)
+    if first.transfer.clearances(drawn.witness, rows, 1.0).min() < enough:
+        return None
+    return replace(drawn, rows=np.concatenate([drawn.rows, rows]))
+
+
+def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
+    """Return the (1, 9) row of a box that leaves no room on a pad."""
+    half = rng.uniform(*_STOPPER_HALF_EXTENTS, size=3)
+    x, y, z = goal.position
+    size = (float(half[0]), float(half[1]), float(half[2]))
+    box = Obstacle(shape="box", position=(x, y, z + size[2]), size=size)
+    return np.array([to_row(box)])
+
+
+def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    first, second = _draw_queries(rng)
+    one, other = _specifications(difficulty)
+    rows = block(first, one, rng)
+    if rows is None:
+        return None
+    if other is None:
+        rows = np.concatenate([rows, _stopper(second.goal, rng)])
+    else:
+        rows = block(second, other, rng, rows)
+    return None if rows is None else Draw(first.transfer.start, first.goals, rows)
+
+
+def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
+    """Draw furniture on both sides, both with a witness; the scene's is that of the first."""
+    first, second = _draw_queries(rng)
+    drawn = furnish(kind, first, rng)
+    if drawn is None:
+        return None
+    for _ in range(_SIDE_DRAWS):
+        both = furnish(kind, second, rng, drawn)
+        if both is not None:
+            return both
+    return None
+
+
+SAMPLER = SceneSampler(_draw, _place, _furnish)

@@ -1,0 +1,129 @@
+"""Performances: scripted movements, executed in the environment and recorded as demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from smp_gym.datasets.demonstrations import Demonstrations, resample
+from smp_gym.observation import CONTROL_PERIOD, DecodedObservation, decode
+from smp_gym.robot.kinematics import JOINT_VELOCITY
+from smp_gym.scene import Scene
+
+__all__ = ["SPEED_LIMIT", "Performance", "Performer", "Report", "collect", "draw_duration"]
+
+SPEED_LIMIT = 0.9
+"""Share of the joint velocity limits that a demonstrator uses at most."""
+
+FloatArray = NDArray[np.float64]
+
+Report = Callable[[str], None]
+"""Is told how each performance went, in one line."""
+
+
+def draw_duration(bounds: tuple[float, float], rng: np.random.Generator) -> float:
+    """Return a duration between bounds (s), a whole number of environment steps."""
+    return round(rng.uniform(*bounds) / CONTROL_PERIOD) * CONTROL_PERIOD
+
+
+class Performer:
+    """Plays targets in an environment and remembers what the arm did.
+
+    Args:
+        env: of the scene's task.
+        scene: in which to play.
+        to_the_end: whether to move on after success.
+
+    Attributes:
+        state: what the last observation says.
+        info: of the last step.
+        measured: (6,) rad at the start and after each step that was to be kept.
+    """
+
+    def __init__(self, env: gymnasium.Env, scene: Scene, *, to_the_end: bool = False) -> None:
+        observation, self.info = env.reset(options={"scene": scene})
+        self._env, self._task, self._to_the_end = env, scene.task, to_the_end
+        self._done = False
+        self.state: DecodedObservation = decode(observation, scene.task)
+        self.measured = [self.state.robot.configuration]
+
+    def step(self, target: FloatArray, gripper: float, *, keep: bool = True) -> None:
+        """Move towards a target (6,) rad for one step, unless the episode is over."""
+        if self._done:
+            return
+        rate = (target - self.state.robot.reference) / (CONTROL_PERIOD * JOINT_VELOCITY)
+        action = np.append(np.clip(rate, -1.0, 1.0), gripper).astype(np.float32)
+        observation, _, terminated, truncated, self.info = self._env.step(action)
+        self.state = decode(observation, self._task)
+        over = self.info["collided"] if self._to_the_end else terminated
+        self._done = bool(over or truncated)
+        if keep:
+            self.measured.append(self.state.robot.configuration)
+
+
+@dataclass(frozen=True)
+class Performance:
+    """One demonstration, executed.
+
+    Attributes:
+        scene: in which it was.
+        movement: (T, 6) rad, as the script had it, at equal steps of phase.
+        duration: s.
+        configurations: (M, 6) rad, as measured.
+        finger_angles: (4,) rad, with object or pen in the hand.
+        info: of the last step.
+    """
+
+    scene: Scene
+    movement: FloatArray
+    duration: float
+    configurations: FloatArray
+    finger_angles: FloatArray
+    info: dict[str, Any]
+
+
+def collect(
+    performances: Iterable[Performance],
+    gripper: FloatArray,
+    report: Report,
+    **metadata: Any,
+) -> Demonstrations:
+    """Return performances as the demonstrations of their task.
+
+    Args:
+        performances: of one task.
+        gripper: (T,) commanded reference of the gripper in each, 0 open to 1 closed.
+        report: is told how each went.
+        metadata: of the demonstrations.
+
+    Raises:
+        RuntimeError: one of them did not succeed, or was too fast.
+    """
+    kept = []
+    for number, shown in enumerate(performances, start=1):
+        rate = np.abs(np.diff(shown.movement, axis=0)).max(axis=0) * (len(shown.movement) - 1)
+        share = float((rate / shown.duration / JOINT_VELOCITY).max())
+        outcome = "success" if shown.info["is_success"] else shown.info["failure"] or "unfinished"
+        told = f"demonstration {number}: {outcome}, {shown.duration:.2f} s"
+        told += f", {100 * share:.0f} % of the speed limit"
+        if outcome != "success" or share > SPEED_LIMIT:
+            raise RuntimeError(told)
+        report(told)
+        kept.append(shown)
+    return Demonstrations(
+        task=kept[0].scene.task,
+        configurations=np.array([resample(shown.configurations) for shown in kept]),
+        gripper=np.tile(gripper, (len(kept), 1)),
+        durations=np.array([shown.duration for shown in kept]),
+        scenes=tuple(shown.scene for shown in kept),
+        metadata={
+            "recorded_by": "scripts/record_demonstrations.py",
+            "finger_angles": np.mean([shown.finger_angles for shown in kept], axis=0).tolist(),
+            **metadata,
+        },
+    )

@@ -1,0 +1,58 @@
+"""Scenes of Placement: a bin, and obstacles or furniture before it."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.draws import Draw, SceneSampler
+from smp_gym.sampling.furnished import furnish
+from smp_gym.sampling.specification import SPECIFICATIONS
+from smp_gym.sampling.transfer import Query, Transfer, make_transfer
+from smp_gym.scene import Goal
+from smp_gym.tasks.placement.rules import (
+    BIN_LOWER,
+    BIN_UPPER,
+    HELD_OBJECT_POSE,
+    START_CONFIGURATION,
+)
+
+__all__ = ["SAMPLER", "demonstrated_transfer"]
+
+_GOAL_CLEARANCE = 0.03
+"""m, of obstacles from the bin, sideways."""
+
+
+@functools.lru_cache(maxsize=1)
+def demonstrated_transfer() -> Transfer:
+    """Return the movement into the bin that the demonstrations show."""
+    demonstrations = Demonstrations.load("Placement")
+    return make_transfer(
+        demonstrations, slice(None), 0, START_CONFIGURATION, HELD_OBJECT_POSE, _GOAL_CLEARANCE
+    )
+
+
+def _draw_query(rng: np.random.Generator) -> Query:
+    """Draw a bin."""
+    x, y, z = rng.uniform(BIN_LOWER, BIN_UPPER)
+    return Query(demonstrated_transfer(), (Goal(position=(float(x), float(y), float(z))),))
+
+
+def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    return block_around_witness(_draw_query(rng), SPECIFICATIONS[difficulty], rng)
+
+
+def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    query = _draw_query(rng)
+    rows = block(query, SPECIFICATIONS[difficulty], rng)
+    return None if rows is None else Draw(query.transfer.start, query.goals, rows)
+
+
+def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
+    return furnish(kind, _draw_query(rng), rng)
+
+
+SAMPLER = SceneSampler(_draw, _place, _furnish)
