@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import (
     REFERENCE_STEPS,
@@ -24,7 +25,6 @@ from smp_planner.collision.verification import verify
 from smp_planner.library.cloud import LearnedCloud
 from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
 from smp_planner.library.settings import AdaptSettings
-from smp_planner.occupancy.analytic import PackedObstacles
 from smp_planner.occupancy.occupancy_map import TRUNCATION
 
 __all__ = [

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.scene import Obstacle
-from smp_planner.occupancy.analytic import PackedObstacles
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 from smp_planner.occupancy.neural import (
     INFLATION,

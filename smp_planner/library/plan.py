@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 from smp_planner.library.drawing import draw
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle
@@ -115,7 +116,7 @@ class PathPlan:
             paths,
             np.array([o.position for o in solid]),
             np.array([o.size[2] for o in solid]),
-            np.array([_radius(o) for o in solid]),
+            np.array([REGISTRY[o.shape].radius(np.array(o.size)) for o in solid]),
             Rotation.from_quat([o.quaternion for o in solid]).apply((0.0, 0.0, 1.0)),
         )
 
@@ -123,9 +124,3 @@ class PathPlan:
     def modes(self) -> Modes:
         """The classes of all paths by the way that they go round the obstacles."""
         return group(self.signatures)
-
-
-def _radius(obstacle: Obstacle) -> float:
-    """Return how far an obstacle reaches from its own z axis."""
-    x, y, _ = obstacle.size
-    return float(np.hypot(x, y)) if obstacle.shape == "box" else x

@@ -9,14 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from smp_gym.geometry.distance import PackedObstacles, signed_distance, signed_distance_and_gradient
 from smp_gym.scene import Obstacle
 from smp_planner.library.cloud import LearnedCloud
 from smp_planner.library.mover import Check, ValueAndGradient, steps_scale
-from smp_planner.occupancy.analytic import (
-    PackedObstacles,
-    signed_distance,
-    signed_distance_and_gradient,
-)
 from smp_planner.occupancy.grid import DistanceGrid
 
 __all__ = [

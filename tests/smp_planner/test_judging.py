@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.observation import decode
 from smp_gym.robot.kinematics import (
     arm_spheres,
@@ -18,7 +19,6 @@ from smp_gym.robot.kinematics import (
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.collision.verification import TOLERANCE, Verification
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planners import make_planner
 from smp_planner.planners.judging import free_waypoints, goal_distances, rank, signatures
 from smp_planner.planning.modes import group

@@ -8,6 +8,7 @@ from pybullet_utils.bullet_client import BulletClient
 
 from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import Obstacle
 from smp_planner.adaptation import Stein
 from smp_planner.collision.verification import TOLERANCE, check_collisions
@@ -16,7 +17,6 @@ from smp_planner.library.frame import Frame
 from smp_planner.library.point import path_clearance
 from smp_planner.library.scene import Scene
 from smp_planner.library.smp import SMP, AdaptSettings, PointCloud, Robot
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 
 PHASE = np.linspace(0.0, 1.0, 60)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
+from smp_gym.geometry.distance import signed_distance
 from smp_planner.library.conditioning import branches
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
@@ -15,7 +16,6 @@ from smp_planner.library.shapes import Circle, Rectangle, bodies
 from smp_planner.library.sites import sites_of
 from smp_planner.library.target import SceneTarget, at_phase
 from smp_planner.movement_primitives import GaussianBasis, ProMP
-from smp_planner.occupancy.analytic import signed_distance
 
 FRAME = Frame(np.array([1.0, 2.0]), 4.0)
 POINTS = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2))
