@@ -304,7 +304,7 @@ def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
         quaternion = fields["quaternion"]
         obstacles.append(
             Obstacle(
-                shape=SHAPES[int(np.argmax(fields["shape"]))],  # type: ignore[arg-type]
+                shape=SHAPES[int(np.argmax(fields["shape"]))],
                 position=tuple(fields["position"].tolist()),
                 quaternion=tuple((quaternion / np.linalg.norm(quaternion)).tolist()),
                 size=tuple(fields["size"].tolist()),

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -22,6 +23,8 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+
+from smp_gym.geometry.registry import REGISTRY, SHAPES
 
 __all__ = [
     "BIN_FLOOR_THICKNESS",
@@ -75,9 +78,6 @@ if not TYPE_CHECKING:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-SHAPES = ("box", "cylinder", "sphere")
-"""Obstacle shapes, in the order of the one-hot code of an observation row."""
-
 MAX_OBSTACLES = 16
 """Rows of obstacles in an observation; a scene never holds more."""
 
@@ -107,6 +107,12 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
     return quaternion
 
 
+def _shape(name: str) -> str:
+    if name not in REGISTRY:
+        raise ValueError(f"shape must be one of {', '.join(SHAPES)}; got {name!r}")
+    return name
+
+
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Configuration = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Quaternion = Annotated[
@@ -124,7 +130,8 @@ class Obstacle(_Frozen):
     """A rigid body that nothing may touch.
 
     Attributes:
-        shape: "box", "cylinder" (axis along its z) or "sphere".
+        shape: one of `SHAPES`: "box", "cylinder" (axis along its z), "sphere", or one of another
+            package (`smp_gym.geometry.registry`).
         position: centre, m.
         quaternion: orientation (x, y, z, w).
         size: half-extents along its own axes, m: (hx, hy, hz) of a box, (radius, radius,
@@ -132,7 +139,7 @@ class Obstacle(_Frozen):
         velocity: linear velocity, m/s.
     """
 
-    shape: Literal["box", "cylinder", "sphere"]
+    shape: Annotated[str, AfterValidator(_shape)]
     position: Vector3
     quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     size: Size
@@ -140,13 +147,9 @@ class Obstacle(_Frozen):
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Obstacle:
-        x, y, z = self.size
-        if self.shape == "cylinder" and x != y:
-            raise ValueError(
-                f"size of a cylinder is (radius, radius, half height), got {self.size}"
-            )
-        if self.shape == "sphere" and not (x == y == z):
-            raise ValueError(f"size of a sphere is (radius, radius, radius), got {self.size}")
+        shape = REGISTRY[self.shape]
+        if tuple(shape.fitted(np.array(self.size)).tolist()) != self.size:
+            raise ValueError(f"size of a {self.shape} is {shape.measures}, got {self.size}")
         return self
 
 

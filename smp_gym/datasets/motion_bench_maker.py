@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.distance import PackedObstacles, signed_distance
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import (
@@ -36,7 +38,7 @@ __all__ = ["load_obstacles", "load_scene"]
 _Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
 
-_DIMENSIONS = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2}
+_DIMENSIONS = {name: shape.dimensions for name, shape in REGISTRY.items()} | {"cone": 2}
 _NUMBERS = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
 """Primitives of a MoveIt scene: how many dimensions each has; the numbers that
 ``shape_msgs/SolidPrimitive`` gives them."""
@@ -148,17 +150,11 @@ def _body(primitive: Any, pose: _Pose, where: str) -> Obstacle | None:
         raise ValueError(f"{where}.dimensions must be positive, got {dimensions}")
     if shape == "cone":
         return None
-    if shape == "box":
-        a, b, c = (full / 2 for full in dimensions)
-    elif shape == "cylinder":
-        height, radius = dimensions
-        a, b, c = radius, radius, height / 2
-    else:
-        a = b = c = dimensions[0]
+    a, b, c = REGISTRY[shape].of_dimensions(dimensions).tolist()
     x, y, z = pose.position.tolist()
     qx, qy, qz, qw = pose.rotation.as_quat().tolist()
     return Obstacle(
-        shape=shape,  # type: ignore[arg-type]
+        shape=shape,
         position=(x, y, z),
         quaternion=(qx, qy, qz, qw),
         size=(a, b, c),
@@ -230,17 +226,9 @@ def _reach() -> float:
     return float((along[spheres.link] + beyond).max())
 
 
-def _half_extents(body: Obstacle) -> FloatArray:
-    """Return the (3,) half-extents, m, of an upright box around a body."""
-    if body.shape == "sphere":
-        return np.array(body.size)
-    turn = np.abs(Rotation.from_quat(body.quaternion).as_matrix())
-    return np.asarray(turn @ np.array(body.size))
-
-
 def _matters(body: Obstacle, reach: float) -> bool:
     """Return whether a body reaches above the table and to where the arm can get."""
-    half = _half_extents(body)
+    half = PackedObstacles.of([body]).half_extents[0]
     gap = np.maximum(np.abs(np.array(body.position)) - half, 0.0)
     return bool(body.position[2] + half[2] > 0.0 and np.linalg.norm(gap) < reach)
 
@@ -311,19 +299,6 @@ def _read(file: Path, base: _Pose, skip_unsupported: bool) -> list[tuple[str, Ob
     return bodies
 
 
-def _inside(body: Obstacle, points: FloatArray) -> bool:
-    """Return whether any of (N, 3) points, m, lies inside a body."""
-    local = Rotation.from_quat(body.quaternion).inv().apply(points - np.array(body.position))
-    size = np.array(body.size)
-    if body.shape == "box":
-        within = (np.abs(local) < size).all(axis=1)
-    elif body.shape == "cylinder":
-        within = (np.hypot(local[:, 0], local[:, 1]) < size[0]) & (np.abs(local[:, 2]) < size[2])
-    else:
-        within = np.linalg.norm(local, axis=1) < size[0]
-    return bool(within.any())
-
-
 def _points_of(body: Obstacle) -> FloatArray:
     """Return points all over an upright box, (N, 3) m."""
     steps = np.linspace(-1.0, 1.0, _POINTS)
@@ -365,7 +340,7 @@ def load_scene(
     for goal in bare.goals:
         points = np.concatenate([_points_of(box) for box in goal_boxes(goal)])
         for number, obstacle in enumerate(obstacles):
-            if _inside(obstacle, points):
+            if (signed_distance(points, [obstacle]) < 0.0).any():
                 raise ValueError(
                     f"obstacle {number}, a {obstacle.shape} at {obstacle.position} m, stands in "
                     f"the {goal.kind} at {goal.position} m: choose another offset or seed"

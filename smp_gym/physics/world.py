@@ -18,6 +18,8 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from smp_gym.geometry.registry import REGISTRY
+from smp_gym.geometry.shape import SolidArguments
 from smp_gym.physics.lines import Line, draw_lines
 from smp_gym.scene import MAX_OBSTACLES, Obstacle
 
@@ -47,11 +49,6 @@ OBSTACLE_COLORS: tuple[Color, ...] = (
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _IDENTITY = (0.0, 0.0, 0.0, 1.0)
-_GEOMETRIES = {
-    "box": pybullet.GEOM_BOX,
-    "cylinder": pybullet.GEOM_CYLINDER,
-    "sphere": pybullet.GEOM_SPHERE,
-}
 _WINDOW_LINE_WIDTH = 3.0
 """Pixels."""
 
@@ -79,6 +76,14 @@ class Camera:
     yaw: float = 0.0
     pitch: float = -30.0
     field_of_view: float = 45.0
+
+
+def _solid(part: Obstacle) -> SolidArguments:
+    return REGISTRY[part.shape].solid(part.size)
+
+
+def _geometry(solid: SolidArguments) -> int:
+    return int(getattr(pybullet, f"GEOM_{solid.geometry}"))
 
 
 def _disconnect(client: int) -> None:
@@ -426,11 +431,12 @@ class BulletWorld:
     def _shapes(self, parts: Sequence[Obstacle], color: Color) -> tuple[int, int]:
         if len(parts) == 1 and (parts[0].position, parts[0].quaternion) == (_ORIGIN, _IDENTITY):
             return self._single_shape(parts[0], color)
+        solids = [_solid(part) for part in parts]
         common: dict[str, Any] = {
-            "shapeTypes": [_GEOMETRIES[part.shape] for part in parts],
-            "radii": [part.size[0] for part in parts],
-            "halfExtents": [list(part.size) for part in parts],
-            "lengths": [2.0 * part.size[2] for part in parts],
+            "shapeTypes": [_geometry(solid) for solid in solids],
+            "radii": [solid.radius for solid in solids],
+            "halfExtents": [list(solid.half_extents) for solid in solids],
+            "lengths": [solid.length for solid in solids],
             "physicsClientId": self.client,
         }
         positions = [list(part.position) for part in parts]
@@ -448,13 +454,14 @@ class BulletWorld:
 
     def _single_shape(self, part: Obstacle, color: Color) -> tuple[int, int]:
         """Return shapes without a compound around them, which contacts are cheaper with."""
+        solid = _solid(part)
         common: dict[str, Any] = {
-            "shapeType": _GEOMETRIES[part.shape],
-            "radius": part.size[0],
-            "halfExtents": part.size,
+            "shapeType": _geometry(solid),
+            "radius": solid.radius,
+            "halfExtents": solid.half_extents,
             "physicsClientId": self.client,
         }
-        length = 2.0 * part.size[2]
+        length = solid.length
         collision = pybullet.createCollisionShape(height=length, **common)
         if not self._seen:
             return int(collision), self._unseen

@@ -63,7 +63,7 @@ def to_obstacle(row: FloatArray) -> Obstacle:
     """Return the obstacle of a (9,) row."""
     yaw = float(np.arctan2(row[5], row[4]))
     return Obstacle(
-        shape=SHAPES[int(row[0])],  # type: ignore[arg-type]
+        shape=SHAPES[int(row[0])],
         position=(float(row[1]), float(row[2]), float(row[3])),
         quaternion=(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))),
         size=(float(row[6]), float(row[7]), float(row[8])),

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.compiling import kernel
+from smp_gym.geometry import registry
+from smp_gym.geometry.registry import ROUND
 
 __all__ = [
     "OBSTACLE_COLUMNS",
@@ -28,8 +30,6 @@ __all__ = [
 
 OBSTACLE_COLUMNS = 9
 """Numbers of an obstacle's row."""
-
-_BOX, _CYLINDER = 0, 1
 
 Array = NDArray[np.float64]
 
@@ -100,18 +100,13 @@ def point_distance(x: float, y: float, z: float, obstacle: Array) -> float:
     dx = x - obstacle[1]
     dy = y - obstacle[2]
     dz = z - obstacle[3]
-    if obstacle[0] == _BOX:
-        u = abs(obstacle[4] * dx + obstacle[5] * dy) - obstacle[6]
-        v = abs(obstacle[4] * dy - obstacle[5] * dx) - obstacle[7]
-        w = abs(dz) - obstacle[8]
-        outside = math.sqrt(max(u, 0.0) ** 2 + max(v, 0.0) ** 2 + max(w, 0.0) ** 2)
-        return outside + min(max(u, max(v, w)), 0.0)
-    if obstacle[0] == _CYLINDER:
-        u = math.sqrt(dx * dx + dy * dy) - obstacle[6]
-        w = abs(dz) - obstacle[8]
-        outside = math.sqrt(max(u, 0.0) ** 2 + max(w, 0.0) ** 2)
-        return outside + min(max(u, w), 0.0)
-    return math.sqrt(dx * dx + dy * dy + dz * dz) - obstacle[6]
+    shape, size = int(obstacle[0]), obstacle[6:]
+    # The turn would change the last digits of what does not depend on it.
+    if ROUND[shape]:
+        return registry.distance(shape, dx, dy, dz, size)
+    a = obstacle[4] * dx + obstacle[5] * dy
+    b = obstacle[4] * dy - obstacle[5] * dx
+    return registry.distance(shape, a, b, dz, size)
 
 
 @kernel
@@ -122,15 +117,6 @@ def point_distances(points: Array, obstacles: Array) -> Array:
         for n in range(len(points)):
             out[m, n] = point_distance(points[n, 0], points[n, 1], points[n, 2], obstacles[m])
     return out
-
-
-@kernel
-def _bounding_radius(obstacle: Array) -> float:
-    if obstacle[0] == _BOX:
-        return math.sqrt(obstacle[6] ** 2 + obstacle[7] ** 2 + obstacle[8] ** 2)
-    if obstacle[0] == _CYLINDER:
-        return math.sqrt(obstacle[6] ** 2 + obstacle[8] ** 2)
-    return float(obstacle[6])
 
 
 @kernel
@@ -149,7 +135,7 @@ def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: flo
     out = np.full(len(obstacles), enough)
     for m in range(len(obstacles)):
         obstacle = obstacles[m]
-        bound = _bounding_radius(obstacle)
+        bound = registry.bound(int(obstacle[0]), obstacle[6:])
         for t in range(centers.shape[0]):
             for s in range(centers.shape[1]):
                 far = out[m] + radius[s] + bound
@@ -168,7 +154,7 @@ def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: flo
 @kernel
 def _blocked(centers: Array, radius: Array, obstacle: Array, depth: float) -> bool:
     """Return whether an obstacle reaches `depth` deep into a path's spheres."""
-    bound = _bounding_radius(obstacle) - depth
+    bound = registry.bound(int(obstacle[0]), obstacle[6:]) - depth
     for t in range(centers.shape[0]):
         for s in range(centers.shape[1] - 1, -1, -1):
             dx = centers[t, s, 0] - obstacle[1]

@@ -77,7 +77,7 @@ def draw_rows(
         rng: source of all randomness.
     """
     count = len(points)
-    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
+    shape = rng.choice(len(SHAPE_SHARES), size=count, p=SHAPE_SHARES)
     low, high = HALF_EXTENTS
     size = _sizes(shape, high - (high - low) * rng.uniform(size=(count, 3)) ** skew)
     yaw = rng.uniform(-np.pi, np.pi, size=count)

@@ -7,7 +7,6 @@ another cannot be drawn; here every small piece is sorted by its own depth.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 
 __all__ = ["Camera", "Painter", "body_faces"]
@@ -70,41 +70,11 @@ class Camera:
         return flat * (self.distance / depth)[..., None], depth
 
 
-def _box_faces() -> list[FloatArray]:
-    faces = []
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-            faces.append(np.insert(corners, axis, side, axis=1))
-    return faces
-
-
-def _turned_faces(heights: FloatArray, radii: FloatArray) -> list[FloatArray]:
-    """Return the quadrilaterals of a body of revolution about z."""
-    angles = np.linspace(0.0, 2 * np.pi, _ROUND + 1)
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    rings = [
-        np.column_stack([radius * circle, np.full(len(circle), height)])
-        for height, radius in zip(heights, radii, strict=True)
-    ]
-    return [
-        np.array([low[i], low[i + 1], high[i + 1], high[i]])
-        for low, high in pairwise(rings)
-        for i in range(_ROUND)
-    ]
-
-
 def body_faces(body: Obstacle) -> list[FloatArray]:
     """Return the polygons of a body in the base frame, each (V, 3) m."""
-    if body.shape == "box":
-        unit = _box_faces()
-    elif body.shape == "cylinder":
-        unit = _turned_faces(np.array([-1.0, -1.0, 1.0, 1.0]), np.array([0.0, 1.0, 1.0, 0.0]))
-    else:
-        polar = np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2 + 1)
-        unit = _turned_faces(np.sin(polar), np.cos(polar))
     rotation = Rotation.from_quat(body.quaternion).as_matrix()
-    return [(face * body.size) @ rotation.T + body.position for face in unit]
+    faces = REGISTRY[body.shape].faces(np.array(body.size))
+    return [face @ rotation.T + body.position for face in faces]
 
 
 def _normal(face: FloatArray, inside: FloatArray) -> FloatArray:

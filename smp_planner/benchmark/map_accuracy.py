@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import Scene, fixtures
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.grid import DistanceGrid, bake
 from smp_planner.occupancy.occupancy_map import occupancy
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks

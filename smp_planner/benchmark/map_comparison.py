@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from rich.progress import track
 from rich.table import Table
 
+from smp_gym.geometry.distance import PackedObstacles, signed_distance
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import SHAPES, TABLE, Goal, Obstacle, Scene, fixtures
 from smp_planner.benchmark.map_accuracy import NEAR, MapAccuracy
 from smp_planner.benchmark.timing import timed
-from smp_planner.occupancy.analytic import AnalyticMap, PackedObstacles, signed_distance
+from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.grid import bake
 from smp_planner.occupancy.neural import PointNetworkMap, sample_labelled_points, train_map
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
@@ -63,7 +65,7 @@ def random_scene(obstacles: int, rng: np.random.Generator) -> tuple[Obstacle, ..
     for _ in range(obstacles):
         shape = SHAPES[rng.integers(len(SHAPES))]
         size = rng.uniform(0.03, 0.06, 3)
-        size = {"box": size, "cylinder": size[[0, 0, 2]], "sphere": size[[0, 0, 0]]}[shape]
+        size = REGISTRY[shape].fitted(size)
         quaternion = rng.normal(size=4)
         if rng.random() < 0.5:
             quaternion[:2] = 0.0

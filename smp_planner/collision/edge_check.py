@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.compiling import kernel
+from smp_gym.geometry.distance import PackedObstacles, point_distance
 from smp_gym.robot.kinematics import concatenate
 from smp_gym.scene import Obstacle
 from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
 from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
 from smp_planner.collision.verification import TOLERANCE, self_gap_of
-from smp_planner.occupancy.analytic import PackedObstacles, point_distance
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
 

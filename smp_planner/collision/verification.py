@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.compiling import kernel
+from smp_gym.geometry.distance import PackedObstacles, point_distance
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION, check_trajectories
 from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.occupancy.analytic import PackedObstacles, point_distance
 from smp_planner.occupancy.grid import DistanceGrid, lookup
 
 __all__ = [

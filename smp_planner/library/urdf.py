@@ -17,9 +17,10 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.library.covering import cover_box, cover_cylinder, cover_mesh
+from smp_planner.library.covering import cover_mesh
 
 __all__ = ["ENDLESS", "Robot"]
 
@@ -273,18 +274,19 @@ def _link_spheres(file: Path, link: ET.Element, cell: float) -> Iterator[FloatAr
 
 
 def _covering(file: Path, shape: ET.Element, cell: float) -> FloatArray:
-    if shape.tag == "box":
-        return cover_box(_numbers(shape.get("size"), "0 0 0") / 2, cell)
-    if shape.tag == "cylinder":
-        radius, length = float(shape.get("radius", 0)), float(shape.get("length", 0))
-        return cover_cylinder(radius, length / 2, cell)
-    if shape.tag == "sphere":
-        return np.array([[0.0, 0.0, 0.0, float(shape.get("radius", 0))]])
     if shape.tag == "mesh":
         mesh = trimesh.load(_mesh_file(file, shape.get("filename", "")), force="mesh")
         mesh.apply_transform(np.diag([*_numbers(shape.get("scale"), "1 1 1"), 1.0]))
         return cover_mesh(mesh, cell)
-    raise ValueError(f"geometry must be box, cylinder, sphere or mesh, got <{shape.tag}>")
+    given = {
+        "box": _numbers(shape.get("size"), "0 0 0").tolist(),
+        "cylinder": [float(shape.get("length", 0)), float(shape.get("radius", 0))],
+        "sphere": [float(shape.get("radius", 0))],
+    }
+    if shape.tag not in given:
+        raise ValueError(f"geometry must be box, cylinder, sphere or mesh, got <{shape.tag}>")
+    kind = REGISTRY[shape.tag]
+    return kind.cover(kind.of_dimensions(given[shape.tag]), cell)
 
 
 def _mesh_file(file: Path, name: str) -> Path:

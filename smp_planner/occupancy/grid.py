@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.compiling import kernel
+from smp_gym.geometry.distance import check_points
 from smp_gym.scene import Obstacle
-from smp_planner.occupancy.analytic import AnalyticMap, check_points
+from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
 
 __all__ = ["SPACING", "WORKSPACE", "DistanceGrid", "bake", "bake_analytic", "grid_nodes", "lookup"]

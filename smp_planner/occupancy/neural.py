@@ -23,8 +23,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import nn
 
+from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance
 from smp_gym.scene import Obstacle
-from smp_planner.occupancy.analytic import PackedObstacles, check_points, signed_distance
 from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, grid_nodes
 from smp_planner.occupancy.occupancy_map import TRUNCATION

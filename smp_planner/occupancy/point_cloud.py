@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from smp_planner.occupancy.analytic import check_points
+from smp_gym.geometry.distance import check_points
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid
 from smp_planner.occupancy.neural import INFLATION, NEAR, UNIFORM_SHARE, PointNetworkMap
 

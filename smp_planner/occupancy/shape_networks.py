@@ -24,19 +24,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.compiling import kernel
-from smp_gym.scene import SHAPES, Obstacle
-from smp_planner.occupancy.analytic import PackedObstacles, check_points, to_local
+from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance, to_local
+from smp_gym.scene import Obstacle
+from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.occupancy_map import window
 
-__all__ = ["ShapeNetworkMap", "ShapeNetworks", "default_networks", "face_offsets"]
+__all__ = ["NETWORK_SHAPES", "ShapeNetworkMap", "ShapeNetworks", "default_networks", "face_offsets"]
 
 Float32Array = NDArray[np.float32]
 
-_HEADER = {"format": "smp-shape-networks", "version": 1, "shapes": list(SHAPES)}
+_BOX, _CYLINDER = 0, 1
+NETWORK_SHAPES = ("box", "cylinder", "sphere")
+"""Shapes with a network, the first of `smp_gym.scene.SHAPES`; of others the distance is exact."""
 
-_BOX = SHAPES.index("box")
-_CYLINDER = SHAPES.index("cylinder")
+_HEADER = {"format": "smp-shape-networks", "version": 1, "shapes": list(NETWORK_SHAPES)}
 
 _BLOCK = 128
 """Points that go through a network together, so that its inner loops run over whole vectors."""
@@ -49,7 +51,7 @@ _HALF, _TWO, _LIMIT = np.float32(0.5), np.float32(2.0), np.float32(4.5)
 
 @dataclass(frozen=True)
 class ShapeNetworks:
-    """Networks with two tanh layers of H units, one for each of the S `SHAPES` in their order.
+    """Networks with two tanh layers of H units, one for each of the S `NETWORK_SHAPES`.
 
     Inputs and output are in units of the truncation distance.
 
@@ -74,7 +76,7 @@ class ShapeNetworks:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.truncation) and self.truncation > 0.0):
             raise ValueError(f"ShapeNetworks.truncation must be positive, got {self.truncation}")
-        shapes, hidden = len(SHAPES), np.shape(self.bias1)[-1]
+        shapes, hidden = len(NETWORK_SHAPES), np.shape(self.bias1)[-1]
         expected = {
             "weight1": (shapes, hidden, 3),
             "bias1": (shapes, hidden),
@@ -163,7 +165,7 @@ def face_offsets(
 
     Args:
         points: (N, 3) m, each in the frame of its own body.
-        shape: one of `SHAPES`.
+        shape: one of `NETWORK_SHAPES`.
         sizes: (N, 3) m, half-extents of the bodies, as in `Obstacle.size`.
         truncation: m.
 
@@ -171,7 +173,8 @@ def face_offsets(
         (N, 3), in units of the truncation, falling in each row; -1 is the least entry.
     """
     return np.asarray(
-        _all_offsets(points, SHAPES.index(shape), sizes, truncation) / truncation, np.float64
+        _all_offsets(points, NETWORK_SHAPES.index(shape), sizes, truncation) / truncation,
+        np.float64,
     )
 
 
@@ -303,7 +306,7 @@ class ShapeNetworkMap:
 
     Attributes:
         obstacles: bodies at the pose they have now; may be empty.
-        networks: one network per shape.
+        networks: one for each of `NETWORK_SHAPES`; other bodies have their exact distance.
     """
 
     obstacles: tuple[Obstacle, ...]
@@ -314,16 +317,26 @@ class ShapeNetworkMap:
         """Distance, m, at which the map is cut off: that of its networks."""
         return self.networks.truncation
 
+    @property
+    def _parts(self) -> tuple[tuple[Obstacle, ...], tuple[Obstacle, ...]]:
+        """Obstacles with a network for their shape, and those without."""
+        known = tuple(o for o in self.obstacles if o.shape in NETWORK_SHAPES)
+        return known, tuple(o for o in self.obstacles if o.shape not in NETWORK_SHAPES)
+
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return the learned signed distance; see `OccupancyMap.signed_distance`."""
         array = check_points(points)
-        values = np.full(array.size // 3, self.truncation)
-        bodies = PackedObstacles.of(self.obstacles).arrays[:4]
+        learned, exact = self._parts
+        values = np.minimum(signed_distance(array.reshape(-1, 3), exact), self.truncation)
+        bodies = PackedObstacles.of(learned).arrays[:4]
+        values = np.maximum(values, -self.truncation)
         _lower(values, array.reshape(-1, 3), self.truncation, bodies, self.networks.arrays)
         return values.reshape(array.shape[:-1])
 
     def fill(self, values: Float32Array, origin: NDArray[np.float64], spacing: float) -> None:
         """Lower the nodes of a grid to the learned distance; see `OccupancyMap.fill`."""
-        packed = PackedObstacles.of(self.obstacles)
+        learned, exact = self._parts
+        AnalyticMap(exact, self.truncation).fill(values, origin, spacing)
+        packed = PackedObstacles.of(learned)
         bodies, extents = packed.arrays[:4], packed.half_extents
         _fill(values, origin, spacing, self.truncation, extents, bodies, self.networks.arrays)

@@ -9,10 +9,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from smp_gym.scene import SHAPES
-from smp_planner.occupancy.analytic import local_distance
+from smp_gym.geometry.distance import local_distance
+from smp_gym.geometry.registry import REGISTRY
 from smp_planner.occupancy.occupancy_map import TRUNCATION
-from smp_planner.occupancy.shape_networks import ShapeNetworks, face_offsets
+from smp_planner.occupancy.shape_networks import NETWORK_SHAPES, ShapeNetworks, face_offsets
 
 __all__ = ["sample_shape_distances", "train_shape_networks"]
 
@@ -34,7 +34,7 @@ def sample_shape_distances(
     distance of the body's bounding box, thinned far from the surface.
 
     Args:
-        shape: one of `SHAPES`.
+        shape: one of those with a network.
         count: how many.
         rng: source of randomness.
         truncation: m.
@@ -45,16 +45,13 @@ def sample_shape_distances(
     Raises:
         ValueError: no such shape.
     """
-    if shape not in SHAPES:
-        raise ValueError(f"shape must be one of {', '.join(SHAPES)}; got {shape!r}")
+    if shape not in NETWORK_SHAPES:
+        raise ValueError(f"shape must be one of {', '.join(NETWORK_SHAPES)}; got {shape!r}")
     smallest, largest = SIZE_RANGE
     inputs, targets = np.empty((0, 3)), np.empty(0)
     while len(targets) < count:
         sizes = smallest * np.power(largest / smallest, rng.random((2 * count, 3)))
-        if shape == "cylinder":
-            sizes[:, 1] = sizes[:, 0]
-        elif shape == "sphere":
-            sizes[:] = sizes[:, :1]
+        sizes = REGISTRY[shape].fitted(sizes)
         points = rng.uniform(-1.0, 1.0, sizes.shape) * (sizes + truncation)
         distance = local_distance(points, shape, sizes) / truncation
         near = np.exp(-np.square(distance / 0.4))
@@ -156,6 +153,6 @@ def train_shape_networks(
             np.random.default_rng(seed),
             report,
         )
-        for shape in SHAPES
+        for shape in NETWORK_SHAPES
     ]
     return ShapeNetworks(truncation, *(np.stack(arrays) for arrays in zip(*trained, strict=True)))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 from smp_planner.planning.constraints import Reaching
 from smp_planner.planning.modes import signatures_2d, signatures_3d
@@ -191,14 +192,4 @@ def _passing(paths: FloatArray, movable: tuple[Obstacle, ...]) -> IntArray:
 def _extents(obstacle: Obstacle) -> tuple[float, float]:
     """Return radius and half height, m, of an upright cylinder around an obstacle."""
     rotation = Rotation.from_quat(obstacle.quaternion).as_matrix()
-    size = np.array(obstacle.size)
-    if obstacle.shape == "sphere":
-        return float(size[0]), float(size[0])
-    if obstacle.shape == "cylinder":
-        lean = float(np.hypot(*rotation[:2, 2]))
-        upright = float(abs(rotation[2, 2]))
-        return size[0] + lean * size[2], upright * size[2] + lean * size[0]
-    corners = np.array([(1.0, y, z) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) * size
-    turned = corners @ rotation.T
-    radius = np.linalg.norm(turned[:, :2], axis=1).max()
-    return float(radius), float(np.abs(turned[:, 2]).max())
+    return REGISTRY[obstacle.shape].upright(rotation, np.array(obstacle.size))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from smp_gym.geometry.distance import PackedObstacles, signed_distance, signed_distance_and_gradient
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import (
     CollisionCost,
@@ -31,11 +32,6 @@ from smp_planner.collision.verification import (
     check_collisions,
     minimum_duration,
     within_joint_limits,
-)
-from smp_planner.occupancy.analytic import (
-    PackedObstacles,
-    signed_distance,
-    signed_distance_and_gradient,
 )
 from smp_planner.occupancy.grid import DistanceGrid
 from smp_planner.occupancy.occupancy_map import TRUNCATION

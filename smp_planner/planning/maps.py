@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.scene import Obstacle
-from smp_planner.occupancy.analytic import PackedObstacles
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, bake, bake_analytic
 from smp_planner.occupancy.neural import (
     INFLATION,

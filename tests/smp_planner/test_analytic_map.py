@@ -10,9 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from smp_gym.scene import TABLE, Obstacle
-from smp_planner.occupancy.analytic import (
-    AnalyticMap,
+from smp_gym.geometry.distance import (
     PackedObstacles,
     local_distance,
     point_distance,
@@ -20,6 +18,8 @@ from smp_planner.occupancy.analytic import (
     signed_distance,
     signed_distance_and_gradient,
 )
+from smp_gym.scene import TABLE, Obstacle
+from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.occupancy_map import OccupancyMap, occupancy
 
 SIZES = {

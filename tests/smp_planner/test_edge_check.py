@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.kinematics import (
     arm_spheres,
     box_spheres,
@@ -15,7 +16,6 @@ from smp_gym.scene import Obstacle, fixtures
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model, jaco_of_spheres
 from smp_planner.collision.verification import TOLERANCE, check_collisions
-from smp_planner.occupancy.analytic import signed_distance
 
 MARGIN = 0.005
 

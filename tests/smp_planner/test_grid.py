@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import RegularGridInterpolator
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import TABLE, Goal, Obstacle, Scene, fixtures
-from smp_planner.occupancy.analytic import AnalyticMap, signed_distance
+from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.grid import (
     SPACING,
     WORKSPACE,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.observation import decode
 from smp_gym.robot.kinematics import (
     arm_spheres,
@@ -17,7 +18,6 @@ from smp_gym.robot.kinematics import (
 )
 from smp_gym.scene import Obstacle
 from smp_planner.collision.verification import TOLERANCE
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planners import make_planner
 from smp_planner.planning.assessment import free_waypoints, signatures
 from smp_planner.planning.modes import group

@@ -8,6 +8,7 @@ from pybullet_utils.bullet_client import BulletClient
 
 from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import Obstacle
 from smp_planner.adaptation import adaptation
 from smp_planner.collision.verification import TOLERANCE, check_collisions
@@ -15,7 +16,6 @@ from smp_planner.library.cloud import learned_cloud
 from smp_planner.library.frame import Frame
 from smp_planner.library.scene import Scene
 from smp_planner.library.smp import SMP, AdaptSettings, PointCloud, Robot
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 from smp_planner.planning.bodies import path_clearance
 

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.adaptation import adaptation
-from smp_planner.library.covering import cover_box, cover_cylinder, cover_mesh
+from smp_planner.library.covering import cover_mesh
 from smp_planner.library.scene import REFERENCE_SPHERES, Scene
 from smp_planner.library.smp import SMP, AdaptSettings, Box, Circle, GoalRegion, Robot, ViaPoint
 from smp_planner.planning.bodies import RobotBody
@@ -127,14 +128,16 @@ def test_spheres_cover_the_collision_shapes(jaco, seven):
 
 @pytest.mark.parametrize("half", [(0.05, 0.05, 0.05), (0.2, 0.03, 0.1), (0.01, 0.3, 0.01)])
 def test_boxes_are_covered_and_not_by_much_more(half):
-    spheres = cover_box(half, 0.06)
+    spheres = REGISTRY["box"].cover(np.array(half), 0.06)
     _check_covers(spheres, trimesh.creation.box(2.0 * np.array(half)).sample(3000), 0.06)
 
 
 @pytest.mark.parametrize(("radius", "half"), [(0.04, 0.2), (0.1, 0.02), (0.03, 0.001)])
 def test_cylinders_are_covered(radius, half):
     mesh = trimesh.creation.cylinder(radius, 2.0 * half)
-    _check_covers(cover_cylinder(radius, half, 0.06), mesh.sample(3000), 0.06)
+    _check_covers(
+        REGISTRY["cylinder"].cover(np.array([radius, radius, half]), 0.06), mesh.sample(3000), 0.06
+    )
 
 
 def test_meshes_are_covered(tmp_path):

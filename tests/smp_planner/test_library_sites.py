@@ -5,6 +5,7 @@ import pytest
 import torch
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
+from smp_gym.geometry.distance import signed_distance
 from smp_planner.library.adapt_settings import AdaptSettings
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
@@ -12,7 +13,6 @@ from smp_planner.library.requests import constraints_of
 from smp_planner.library.shapes import Circle, Rectangle, bodies
 from smp_planner.movement_primitives import GaussianBasis, ProMP
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planning.bodies import Ball, path_clearance
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.pipeline import condition

@@ -12,8 +12,8 @@ import torch
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import SHAPES, TABLE, Goal, Obstacle, Scene, fixtures
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.neural import (
     PointNetwork,
     PointNetworkMap,

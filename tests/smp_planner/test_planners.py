@@ -76,8 +76,8 @@ def test_trajectories_begin_at_rest_in_the_present_configuration(plan, scene):
 
 def test_the_chosen_particle_reaches_the_goal_and_nothing_on_the_way(plan, scene):
     """Checked here by sampling the path finely, with nothing of the planner's own checker."""
+    from smp_gym.geometry.distance import signed_distance
     from smp_gym.robot.kinematics import sphere_centers
-    from smp_planner.occupancy.analytic import signed_distance
 
     problem = problem_of(scene)
     path = plan.trajectories[plan.chosen]

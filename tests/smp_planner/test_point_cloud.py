@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import Obstacle
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.occupancy.neural import PointNetworkMap, train_map
 from smp_planner.occupancy.point_cloud import label_point_cloud
 

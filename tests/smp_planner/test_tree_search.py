@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.kinematics import sphere_centers
 from smp_gym.scene import Obstacle
 from smp_planner.collision.edge_check import EdgeChecker
-from smp_planner.occupancy.analytic import signed_distance
 from smp_planner.planners.rrt_connect.shortcutting import path_length
 from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 from smp_planner.planning.postures import reaching

@@ -8,6 +8,7 @@ import pytest
 from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.distance import PackedObstacles, signed_distance
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
@@ -19,7 +20,6 @@ from smp_planner.collision.verification import (
     verify,
     within_joint_limits,
 )
-from smp_planner.occupancy.analytic import PackedObstacles, signed_distance
 
 TILTED = tuple(Rotation.from_euler("xyz", [0.4, 0.7, -0.3]).as_quat().tolist())
 OBSTACLES = (

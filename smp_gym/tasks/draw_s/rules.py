@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.pen import PEN_POSE
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
@@ -89,24 +89,7 @@ def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float6
 
 def covered(points: FloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
     """Return which points (N, 3) lie nearer than `COVERED_DISTANCE` to one of the obstacles."""
-    found = np.zeros(len(points), np.bool_)
-    for obstacle in obstacles:
-        found |= _distance(np.asarray(points), obstacle) < COVERED_DISTANCE
-    return found
-
-
-def _distance(points: FloatArray, obstacle: Obstacle) -> FloatArray:
-    """Return the distance (N,) of points (N, 3) to an obstacle's surface, 0 inside."""
-    turn = Rotation.from_quat(obstacle.quaternion).inv()
-    local = turn.apply(points - obstacle.position)
-    size = np.asarray(obstacle.size)
-    if obstacle.shape == "sphere":
-        return np.maximum(np.linalg.norm(local, axis=-1) - size[0], 0.0)
-    excess = np.maximum(np.abs(local) - size, 0.0)
-    if obstacle.shape == "cylinder":
-        aside = np.maximum(np.linalg.norm(local[:, :2], axis=-1) - size[0], 0.0)
-        return np.hypot(aside, excess[:, 2])
-    return np.asarray(np.linalg.norm(excess, axis=-1))
+    return np.asarray(signed_distance(points, obstacles) < COVERED_DISTANCE)
 
 
 def passed_in_order(

@@ -106,7 +106,7 @@ def _draw_rows(
     """
     count = len(phase)
     at = np.rint(phase * (len(stroke.line) - 1)).astype(np.int64)
-    shape = rng.choice(len(SHAPES), size=count, p=SHAPE_SHARES)
+    shape = rng.choice(len(SHAPE_SHARES), size=count, p=SHAPE_SHARES)
     size = rng.uniform(*HALF_EXTENTS, size=(count, 3))
     box, ball = SHAPES.index("box"), SHAPES.index("sphere")
     size[shape != box, 1] = size[shape != box, 0]

@@ -1,0 +1,1 @@
+"""Obstacle shapes: a module for each, their registry, and the distance to bodies made of them."""
