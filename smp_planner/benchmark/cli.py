@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from smp_planner.benchmark.options import split_names
+from smp_planner.benchmark.options import INTERRUPTED, progress_bar, split_names
 
 if TYPE_CHECKING:
     from smp_planner.benchmark.episodes import EpisodeRow
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-_INTERRUPTED = 130
 _MAP_SCENES = 20
 _FIRST_SEED = 100_000
 
@@ -164,7 +162,7 @@ def run(
         raise _fail(str(error), 1) from error
     except KeyboardInterrupt as error:
         message = f"interrupted; the episodes so far are kept in {str(out)!r}: the same command "
-        raise _fail(message + "continues there", _INTERRUPTED) from error
+        raise _fail(message + "continues there", INTERRUPTED) from error
     _finish(manifest, rows, out)
     _draw(manifest, out, workers, figure, video)
 
@@ -184,20 +182,14 @@ def _manifest(*arguments: Any, **options: Any) -> Manifest:
 def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) -> list[EpisodeRow]:
     from smp_planner.benchmark.runner import run as run_episodes
 
-    with Progress(
-        TextColumn("episodes"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=_console(error=True),
-    ) as progress:
-        bar = progress.add_task("episodes", total=None)
+    total = len(manifest.episode_keys())
+    with progress_bar("episodes", total, _console(error=True)) as (progress, bar):
         return run_episodes(
             manifest,
             out,
             jobs=jobs,
             restart=restart,
-            on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
+            on_progress=lambda done, _: progress.update(bar, completed=done),
         )
 
 
