@@ -182,14 +182,13 @@ def _manifest(*arguments: Any, **options: Any) -> Manifest:
 def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) -> list[EpisodeRow]:
     from smp_planner.benchmark.runner import run as run_episodes
 
-    total = len(manifest.episode_keys())
-    with progress_bar("episodes", total, _console(error=True)) as (progress, bar):
+    with progress_bar("episodes", None, _console(error=True)) as (progress, bar):
         return run_episodes(
             manifest,
             out,
             jobs=jobs,
             restart=restart,
-            on_progress=lambda done, _: progress.update(bar, completed=done),
+            on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
         )
 
 

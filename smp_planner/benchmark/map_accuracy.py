@@ -48,6 +48,25 @@ class MapAccuracy:
     outside_occupied: float
     error_p95: float
 
+    @classmethod
+    def of(cls, scenes: int, exact: FloatArray, learned: FloatArray) -> MapAccuracy:
+        """Return the accuracy of a map's distances (N,) m against the exact ones of N >= 1 points.
+
+        Args:
+            scenes: in which the points lie.
+            exact: signed distances.
+            learned: those of the map.
+        """
+        occupied = occupancy(learned) > 0.5
+        near = np.abs(exact) < NEAR
+        return cls(
+            scenes=scenes,
+            points=len(exact),
+            inside_occupied=float(occupied[exact <= -INSIDE].mean()),
+            outside_occupied=float(occupied[(exact >= OUTSIDE[0]) & (exact <= OUTSIDE[1])].mean()),
+            error_p95=float(np.percentile(np.abs(learned - exact)[near], 95)),
+        )
+
 
 def _points(scene: Scene, generator: np.random.Generator) -> FloatArray:
     """Return points in and around the obstacles, above the table, as many around each, (N, 3)."""
@@ -79,17 +98,7 @@ def measure(
             exact_parts.append(signed_distance(points, (*scene.obstacles, *fixtures(scene))))
             learned_parts.append(grid.query(points))
     exact, learned = np.concatenate(exact_parts), np.concatenate(learned_parts)
-    if not len(exact):
-        return None
-    occupied = occupancy(learned) > 0.5
-    near = np.abs(exact) < NEAR
-    return MapAccuracy(
-        scenes=len(scenes),
-        points=len(exact),
-        inside_occupied=float(occupied[exact <= -INSIDE].mean()),
-        outside_occupied=float(occupied[(exact >= OUTSIDE[0]) & (exact <= OUTSIDE[1])].mean()),
-        error_p95=float(np.percentile(np.abs(learned - exact)[near], 95)),
-    )
+    return MapAccuracy.of(len(scenes), exact, learned) if len(exact) else None
 
 
 def measure_default_map(scenes: Sequence[Scene]) -> MapAccuracy | None:

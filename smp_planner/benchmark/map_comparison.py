@@ -12,7 +12,7 @@ from rich.progress import track
 from rich.table import Table
 
 from smp_gym.scene import SHAPES, TABLE, Goal, Obstacle, Scene, fixtures
-from smp_planner.benchmark.map_accuracy import INSIDE, NEAR, OUTSIDE
+from smp_planner.benchmark.map_accuracy import NEAR, MapAccuracy
 from smp_planner.benchmark.timing import timed
 from smp_planner.occupancy.analytic import AnalyticMap, PackedObstacles, signed_distance
 from smp_planner.occupancy.grid import bake
@@ -38,29 +38,23 @@ FloatArray = NDArray[np.float64]
 
 @dataclass
 class Record:
-    """What was measured of one map, over all scenes.
+    """What was measured of one map, an entry for each scene.
 
     Attributes:
-        seconds: one entry per scene.
-        error: m, of the signed distance near the surfaces.
-        inside: (hits, points) of those at least 1 cm inside a body.
-        outside: (hits, points) of those 2 to 6 cm outside.
+        seconds: that it took to make.
+        found: its distance of points (N,), m.
+        exact: that which is right.
     """
 
     seconds: list[float] = field(default_factory=list)
-    error: list[FloatArray] = field(default_factory=list)
-    inside: FloatArray = field(default_factory=lambda: np.zeros(2))
-    outside: FloatArray = field(default_factory=lambda: np.zeros(2))
+    found: list[FloatArray] = field(default_factory=list)
+    exact: list[FloatArray] = field(default_factory=list)
 
     def add(self, seconds: float, found: FloatArray, exact: FloatArray) -> None:
         """Add one scene: time, and the map's and the exact distance of the same points."""
         self.seconds.append(seconds)
-        self.error.append((found - exact)[np.abs(exact) < NEAR])
-        for counts, where in (
-            (self.inside, exact <= -INSIDE),
-            (self.outside, (exact >= OUTSIDE[0]) & (exact <= OUTSIDE[1])),
-        ):
-            counts += np.count_nonzero(found[where] < 0.0), np.count_nonzero(where)
+        self.found.append(found)
+        self.exact.append(exact)
 
 
 def random_scene(obstacles: int, rng: np.random.Generator) -> tuple[Obstacle, ...]:
@@ -156,14 +150,15 @@ def map_table(records: Mapping[str, Record], title: str) -> Table:
     ):
         table.add_column(header, justify="right")
     for name, record in records.items():
-        error = 1e3 * np.concatenate(record.error)
-        low, high = np.percentile(error, [1, 99])
+        found, exact = np.concatenate(record.found), np.concatenate(record.exact)
+        accuracy = MapAccuracy.of(len(record.found), exact, found)
+        low, high = np.percentile((found - exact)[np.abs(exact) < NEAR], [1, 99])
         table.add_row(
             name,
-            f"{np.percentile(np.abs(error), 95):.2f}",
-            f"{low:+.2f} / {high:+.2f}",
-            f"{100 * record.inside[0] / record.inside[1]:.2f}",
-            f"{100 * record.outside[0] / record.outside[1]:.2f}",
+            f"{1e3 * accuracy.error_p95:.2f}",
+            f"{1e3 * low:+.2f} / {1e3 * high:+.2f}",
+            f"{100 * accuracy.inside_occupied:.2f}",
+            f"{100 * accuracy.outside_occupied:.2f}",
             f"{1e3 * np.median(record.seconds):.1f}",
         )
     return table

@@ -98,13 +98,13 @@ def tuning_seeds(seed: int, count: int, option: str = "--seed") -> range:
 
 @contextmanager
 def progress_bar(
-    title: str, total: int, console: Console, *, transient: bool = False
+    title: str, total: int | None, console: Console, *, transient: bool = False
 ) -> Iterator[tuple[Progress, TaskID]]:
     """Show a bar with a title, how many of how many are done, and the time that remains.
 
     Args:
         title: text before the bar.
-        total: how many there are.
+        total: how many there are; None if that is told later.
         console: to show it on.
         transient: take the bar away at the end.
 

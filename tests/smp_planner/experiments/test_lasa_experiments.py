@@ -28,7 +28,7 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Spread
 from smp_planner.library.smp import SMP, Circle, ViaPoint
 
-_SPEC = spec_from_file_location("script", Path(__file__).parents[2] / "scripts" / "lasa.py")
+_SPEC = spec_from_file_location("script", Path(__file__).parents[3] / "scripts" / "lasa.py")
 assert _SPEC is not None
 assert _SPEC.loader is not None
 script = module_from_spec(_SPEC)
