@@ -1,6 +1,5 @@
 """The environment from outside: what a user of Gymnasium and stable-baselines3 relies on."""
 
-import hashlib
 import json
 import pickle
 import sys
@@ -10,6 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import RecordVideo
+from rollouts import rollout_digest
 
 import smp_gym
 from smp_gym.env import FAILURE_REWARD, SHAPING_DISCOUNT, ManipulationEnv
@@ -169,23 +169,6 @@ def test_resets_without_seed_repeat_after_a_seed_and_keep_to_tuning_seeds(env):
 def test_an_evaluation_seed_is_played_when_asked_for(env):
     _, info = env.reset(seed=EVALUATION_SEEDS_START + 3)
     assert info["seed"] == EVALUATION_SEEDS_START + 3
-
-
-def rollout_digest(env, scene, steps=80):
-    """Return a digest of an episode that moves, drops the object and runs into things."""
-    rng = np.random.default_rng(scene.seed)
-    observation, _ = env.reset(options={"scene": scene})
-    digest = hashlib.sha256()
-    for step in range(steps):
-        if step % 20 == 0:
-            action = rng.uniform(-0.6, 0.6, 7).astype(np.float32)
-            action[6] = 1.0 if step < 40 else -1.0
-        for key in sorted(observation):
-            digest.update(observation[key].tobytes())
-        # On past collisions: what they leave behind must not reach the next episode.
-        observation, reward, _, _, info = env.step(action)
-        digest.update(np.array([reward, info["clearance"]]).tobytes())
-    return digest.hexdigest()
 
 
 def test_an_episode_is_the_same_bit_for_bit_whatever_was_played_before():

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pybullet
 import pytest
-from test_env import rollout_digest
+from rollouts import rollout_digest
 from test_scene_sampling import Bullet
 
 from smp_gym.datasets.demonstrations import Demonstrations

@@ -17,7 +17,7 @@ from smp_gym.tasks.performance import SPEED_LIMIT, Performance
 from smp_gym.tasks.placement import demonstrator as placement
 from smp_gym.tasks.placement.rules import HELD_OBJECT_POSE
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "record_demonstrations.py"
+SCRIPT = Path(__file__).parents[3] / "scripts" / "record_demonstrations.py"
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from smp_gym.datasets.minari_export import (
 )
 from smp_gym.scene import STROKE_POINTS
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "export_minari.py"
+SCRIPT = Path(__file__).parents[3] / "scripts" / "export_minari.py"
 ID = "smp_gym/DrawS/demonstrations-v1"
 
 

@@ -363,7 +363,7 @@ def slow_play(key: EpisodeKey) -> EpisodeRow:
 def test_ctrl_c_leaves_a_folder_that_can_be_continued(tmp_path: Path) -> None:
     script = tmp_path / "slow.py"
     out = tmp_path / "out"
-    paths = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[3])]
     script.write_text(SLOW_RUN.format(paths=paths, out=str(out)))
     process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
     rows = out / "episodes.jsonl"

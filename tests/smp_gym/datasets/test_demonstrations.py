@@ -111,7 +111,7 @@ def test_the_same_demonstrations_give_the_same_bytes(tmp_path):
 
 
 def test_shipped_file_needs_no_pickle():
-    path = Path(__file__).parents[2] / "envs_assets" / "demonstrations" / "Placement.npz"
+    path = Path(__file__).parents[3] / "envs_assets" / "demonstrations" / "Placement.npz"
     with np.load(path, allow_pickle=False) as file:
         header = json.loads(str(file["header"]))
     assert header["version"] == FORMAT_VERSION
