@@ -29,7 +29,10 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps, loads
 from numba.misc.appdirs import AppDirs
 
-__all__ = ["kernel"]
+__all__ = ["FAST", "kernel"]
+
+FAST = {"reassoc", "contract", "arcp", "nsz"}
+"""Fast mathematics, but for the assumption that NaN and infinity do not occur."""
 
 _LOGGER = logging.getLogger(__name__)
 

@@ -12,9 +12,10 @@ from smp_gym.robot.kinematics import (
     JOINT_LOWER,
     JOINT_UPPER,
     JOINT_VELOCITY,
-    _errors,
-    _jacobians,
+    damped_step,
     link_transforms,
+    pose_errors,
+    pose_jacobians,
 )
 
 __all__ = ["ANGULAR_SPEED", "LINEAR_SPEED", "joint_action", "reference_action"]
@@ -72,8 +73,8 @@ def joint_action(action: FloatArray, reference: FloatArray) -> FloatArray:
     q = np.array(reference, np.float64)
     # Zero is zero: rounding must not make the arm creep.
     for _ in range(_ITERATIONS if action[:6].any() else 0):
-        error = _errors(tool, position, rotation)
-        change = _damped_step(_jacobians(links, tool, True), error, q)
+        error = pose_errors(tool, position, rotation)
+        change = _change(pose_jacobians(links, tool, True), error, q)
         q = np.clip(q + change, JOINT_LOWER, JOINT_UPPER)
         links = link_transforms(q)
         tool = links[-1] @ END_EFFECTOR
@@ -82,14 +83,12 @@ def joint_action(action: FloatArray, reference: FloatArray) -> FloatArray:
     return np.append(fractions, action[6])
 
 
-def _damped_step(jacobian: FloatArray, error: FloatArray, q: FloatArray) -> FloatArray:
+def _change(jacobian: FloatArray, error: FloatArray, q: FloatArray) -> FloatArray:
     """Return the change (6,) of the joints that reduces an error (6,) without leaving limits."""
     able = np.ones(6, np.bool_)
     while True:
-        reduced = np.where(able, jacobian, 0.0)
-        square = reduced @ reduced.T + _DAMPING**2 * np.eye(6)
-        change = reduced.T @ np.linalg.solve(square, error)
+        change = damped_step(np.where(able, jacobian, 0.0), error, _DAMPING**2, np.inf)
         stuck = ((q <= JOINT_LOWER) & (change < 0.0)) | ((q >= JOINT_UPPER) & (change > 0.0))
         if not (stuck & able).any():
-            return np.asarray(change)
+            return change
         able &= ~stuck

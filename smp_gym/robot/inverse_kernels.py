@@ -25,7 +25,10 @@ Array = NDArray[np.float64]
 
 @kernel
 def _frames(configuration: Array, base: Array, origins: Array) -> Array:
-    """Return the (7, 4, 4) transforms from the base frame to the links."""
+    """Return the (7, 4, 4) transforms from the base frame to the links.
+
+    In another order of sums than `exact_chain`: scenes depend on the last bit of it.
+    """
     frames = np.zeros((7, 4, 4))
     frames[0] = base
     turn = np.zeros((4, 4))

@@ -1,4 +1,4 @@
-"""Compiled inner loops of scene sampling: sphere paths, distances, what blocks them.
+"""Compiled inner loops of scene sampling: distances to paths of spheres, what blocks them.
 
 An obstacle is a row of `OBSTACLE_COLUMNS` numbers: shape (index into `smp_gym.scene.SHAPES`),
 position x, y, z, cosine and sine of its yaw, and its three half-extents. Paths of spheres are
@@ -6,8 +6,6 @@ position x, y, z, cosine and sine of its yaw, and its three half-extents. Paths 
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,73 +23,12 @@ __all__ = [
     "path_clearances",
     "point_distance",
     "point_distances",
-    "sphere_paths",
 ]
 
 OBSTACLE_COLUMNS = 9
 """Numbers of an obstacle's row."""
 
 Array = NDArray[np.float64]
-
-
-@kernel
-def sphere_paths(
-    configurations: Array,
-    base: Array,
-    origins: Array,
-    link: NDArray[np.int64],
-    center: Array,
-) -> Array:
-    """Return the centres of link spheres for many configurations.
-
-    Args:
-        configurations: (N, 6) rad.
-        base: (4, 4) transform from the base frame to link 0.
-        origins: (6, 4, 4) transform from each link to the frame of the next joint at angle 0.
-        link: (S,) link of each sphere.
-        center: (S, 3) in the link's frame.
-
-    Returns:
-        (N, S, 3).
-    """
-    count, joints = configurations.shape
-    spheres = len(link)
-    out = np.empty((count, spheres, 3))
-    frames = np.empty((joints + 1, 3, 4))
-    for i in range(3):
-        for j in range(4):
-            frames[0, i, j] = base[i, j]
-    for n in range(count):
-        for k in range(joints):
-            c = math.cos(configurations[n, k])
-            s = math.sin(configurations[n, k])
-            for i in range(3):
-                a = frames[k, i, 0]
-                b = frames[k, i, 1]
-                d = frames[k, i, 2]
-                x = a * origins[k, 0, 0] + b * origins[k, 1, 0] + d * origins[k, 2, 0]
-                y = a * origins[k, 0, 1] + b * origins[k, 1, 1] + d * origins[k, 2, 1]
-                frames[k + 1, i, 0] = x * c + y * s
-                frames[k + 1, i, 1] = y * c - x * s
-                frames[k + 1, i, 2] = (
-                    a * origins[k, 0, 2] + b * origins[k, 1, 2] + d * origins[k, 2, 2]
-                )
-                frames[k + 1, i, 3] = (
-                    a * origins[k, 0, 3]
-                    + b * origins[k, 1, 3]
-                    + d * origins[k, 2, 3]
-                    + frames[k, i, 3]
-                )
-        for m in range(spheres):
-            f = frames[link[m]]
-            for i in range(3):
-                out[n, m, i] = (
-                    f[i, 0] * center[m, 0]
-                    + f[i, 1] * center[m, 1]
-                    + f[i, 2] * center[m, 2]
-                    + f[i, 3]
-                )
-    return out
 
 
 @kernel

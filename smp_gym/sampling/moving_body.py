@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.robot import kinematics
+from smp_gym.robot.forward_kernels import sphere_paths
 from smp_gym.sampling import kernels
 
 __all__ = ["MovingBody"]
@@ -71,7 +72,7 @@ class MovingBody:
         if which is not None:
             link, center = link[which], center[which]
         flat = np.ascontiguousarray(trajectories.reshape(-1, trajectories.shape[-1]))
-        centers = kernels.sphere_paths(
+        centers = sphere_paths(
             flat, kinematics.BASE_TRANSFORM, kinematics.JOINT_ORIGINS, link, center
         )
         return centers.reshape(*trajectories.shape[:-1], len(link), 3)

@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smp_gym.compiling import kernel
+from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
+from smp_gym.robot.forward_kernels import chain, place, sine_cosine
 from smp_gym.robot.kinematics import concatenate
 from smp_gym.scene import Obstacle
-from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
 from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
 from smp_planner.collision.verification import TOLERANCE, self_gap_of
 
@@ -150,7 +150,8 @@ def edge_is_free(world, scratch, start, end):
     """Return whether the straight edge between configurations (n,) rad is certainly free.
 
     Free is what keeps `world.margin` to all obstacles and `TOLERANCE` to itself all along. An edge
-    that keeps less than `TOLERANCE` more than that may be refused.
+    that keeps less than `TOLERANCE` more than that may be refused. Settled by interval halving with
+    the bound (a + b - h w_s) / 2 of `smp_planner.collision.verification`.
     """
     joints, spheres = start.shape[0], world.robot.link.shape[0]
     way, at, gap, self_gap = scratch.way, scratch.at, scratch.gap, scratch.self_gap

@@ -1,4 +1,4 @@
-"""Compiled loops over whole particle sets: the chain, collision costs, carried points.
+"""Compiled loops over whole particle sets: the costs of collisions.
 
 The functions here check nothing; `smp_planner.collision.costs` and
 `smp_planner.collision.verification` do, and own the documentation of what is computed. P is the
@@ -20,102 +20,19 @@ import math
 
 import numpy as np
 
-from smp_gym.compiling import kernel
+from smp_gym.compiling import FAST, kernel
+from smp_gym.robot.forward_kernels import chain, place, sine_cosine
 from smp_planner.occupancy.grid import lookup
 
 __all__ = [
     "BLOCK",
-    "FAST",
-    "carried_points",
-    "chain",
     "least_of_blocks",
     "map_collision",
-    "place",
     "self_collision",
-    "sine_cosine",
 ]
-
-FAST = {"reassoc", "contract", "arcp", "nsz"}
-"""Fast mathematics, but for the assumption that NaN and infinity do not occur."""
 
 BLOCK = 4
 """Cells of the grid along each edge of a block that is passed over as a whole."""
-
-# Pi / 2 as the sum of two numbers, for twice the digits.
-_HALF_PI = 1.5707963267948966
-_HALF_PI_REST = 6.123233995736766e-17
-
-
-@kernel(fastmath={"contract", "arcp", "nsz"})
-def sine_cosine(angles, sine, cosine):
-    """Write sine and cosine of angles (N,) rad, twenty times faster than one by one.
-
-    The Taylor series after reduction to [-pi/4, pi/4], where what is left out is below 1e-16;
-    without branches, so that several angles are done at once. The error grows with the angle, by
-    1e-16 each radian.
-    """
-    for i in range(angles.shape[0]):
-        quarter = np.floor(angles[i] / _HALF_PI + 0.5)
-        x = (angles[i] - quarter * _HALF_PI) - quarter * _HALF_PI_REST
-        z = x * x
-        s = 1 - z / 72 * (1 - z / 110 * (1 - z / 156 * (1 - z / 210)))
-        s = x * (1 - z / 6 * (1 - z / 20 * (1 - z / 42 * s)))
-        c = 1 - z / 90 * (1 - z / 132 * (1 - z / 182 * (1 - z / 240)))
-        c = 1 - z / 2 * (1 - z / 12 * (1 - z / 30 * (1 - z / 56 * c)))
-        turn = np.int64(quarter) & 3
-        odd = (turn & 1) == 1
-        a = c if odd else s
-        b = s if odd else c
-        sine[i] = -a if turn >= 2 else a
-        cosine[i] = -b if turn == 1 or turn == 2 else b
-
-
-@kernel(fastmath=FAST)
-def chain(sine, cosine, base, origins, rotation, position):
-    """Write the pose of each link at each step.
-
-    Args:
-        sine: (n,T) of the joint angles.
-        cosine: (n,T) of the joint angles.
-        base: (4,4) pose of link 0.
-        origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero.
-        rotation: (n+1,3,3,T), written; its last column is the axis of the joint before the link.
-        position: (n+1,3,T) m, written.
-    """
-    joints, steps = sine.shape
-    for i in range(3):
-        position[0, i] = base[i, 3]
-        for j in range(3):
-            rotation[0, i, j] = base[i, j]
-    for k in range(joints):
-        o = origins[k]
-        for i in range(3):
-            for t in range(steps):
-                a = rotation[k, i, 0, t]
-                b = rotation[k, i, 1, t]
-                c = rotation[k, i, 2, t]
-                x = a * o[0, 0] + b * o[1, 0] + c * o[2, 0]
-                y = a * o[0, 1] + b * o[1, 1] + c * o[2, 1]
-                rotation[k + 1, i, 0, t] = x * cosine[k, t] + y * sine[k, t]
-                rotation[k + 1, i, 1, t] = y * cosine[k, t] - x * sine[k, t]
-                rotation[k + 1, i, 2, t] = a * o[0, 2] + b * o[1, 2] + c * o[2, 2]
-                position[k + 1, i, t] = position[k, i, t] + (
-                    a * o[0, 3] + b * o[1, 3] + c * o[2, 3]
-                )
-
-
-@kernel(fastmath=FAST)
-def place(rotation, position, link, center, placed):
-    """Write the centres (S,3,T) m in the base frame of spheres given on links."""
-    for s in range(link.shape[0]):
-        k = link[s]
-        for i in range(3):
-            for t in range(placed.shape[2]):
-                placed[s, i, t] = position[k, i, t] + (
-                    rotation[k, i, 0, t] * center[s, 0]
-                    + rotation[k, i, 1, t] * center[s, 1]
-                    + rotation[k, i, 2, t] * center[s, 2]
-                )
 
 
 @kernel(fastmath=FAST)
@@ -385,35 +302,3 @@ def self_collision(
                     moment[j, 2, t] -= bx * fy - by * fx
         project(rotation, position, force, moment, gradient[p])
         value[p] = total
-
-
-@kernel(fastmath=FAST)
-def carried_points(angles, base, origins, link, point, placed, jacobians):
-    """Write where a point fixed to the last link is, and how it moves with each joint.
-
-    Args:
-        angles: (n,N) rad.
-        base: (4,4), as in `chain`.
-        origins: (n,4,4), as in `chain`.
-        link: (1,) the last link.
-        point: (1,3) m in the last link's frame.
-        placed: (1,3,N) m in the base frame, written.
-        jacobians: (3,n,N) m/rad, written.
-    """
-    joints, count = angles.shape
-    sine = np.empty((joints, count))
-    cosine = np.empty((joints, count))
-    rotation = np.empty((joints + 1, 3, 3, count))
-    position = np.empty((joints + 1, 3, count))
-    sine_cosine(angles.ravel(), sine.ravel(), cosine.ravel())
-    chain(sine, cosine, base, origins, rotation, position)
-    place(rotation, position, link, point, placed)
-    for k in range(1, joints + 1):
-        for i in range(count):
-            dx = placed[0, 0, i] - position[k, 0, i]
-            dy = placed[0, 1, i] - position[k, 1, i]
-            dz = placed[0, 2, i] - position[k, 2, i]
-            ax, ay, az = rotation[k, 0, 2, i], rotation[k, 1, 2, i], rotation[k, 2, 2, i]
-            jacobians[0, k - 1, i] = ay * dz - az * dy
-            jacobians[1, k - 1, i] = az * dx - ax * dz
-            jacobians[2, k - 1, i] = ax * dy - ay * dx

@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from smp_gym.robot import kinematics
+from smp_gym.robot import forward_kernels, kinematics
 from smp_gym.robot.kinematics import SphereSet
-from smp_planner.collision import kernels as compiled
 
 __all__ = ["LinkPairs", "RobotArrays", "RobotModel", "jaco_model", "jaco_of_spheres"]
 
@@ -252,7 +251,7 @@ class RobotModel:
         angles = np.ascontiguousarray(q.reshape(-1, self.joints).T)
         placed = np.empty((1, 3, angles.shape[1]))
         jacobians = np.empty((3, self.joints, angles.shape[1]))
-        compiled.carried_points(
+        forward_kernels.carried_points(
             angles,
             self.base,
             self.joint_origins,

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smp_gym.compiling import kernel
+from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
+from smp_gym.robot.forward_kernels import chain, place, sine_cosine
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION, check_trajectories
-from smp_planner.collision.kernels import FAST, chain, place, sine_cosine
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.occupancy.grid import DistanceGrid, lookup
 
@@ -128,6 +128,13 @@ def _check(
     self_free,
 ):
     """Write clearance (P,) and self_free (P,) of trajectories (P,n,T); see `check_collisions`.
+
+    Each segment is halved until a bound settles it. Along a segment with the change dq of the
+    joints, the centre of sphere s moves by at most w_s = sum_j |dq_j| l_sj, where l_sj is its lever
+    about joint j (`RobotModel.levers`). A distance changes by no more than the point moves (times
+    the grid's steepness), so on a share h of the segment with distances a and b at its ends it is
+    at least (a + b - h w_s) / 2. Of two spheres of the arm, only the joints between them change the
+    distance, by no more than the outer one moves: it is at least (a + b - h max_s w_s) / 2.
 
     `robot` is a `RobotArrays`, `obstacles` are the arrays of `PackedObstacles`, `grid` is as
     `_NO_GRID`.

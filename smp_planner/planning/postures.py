@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smp_gym.robot.kinematics import UnreachableError, inverse_kinematics
+from smp_gym.robot.kinematics import UnreachableError, damped_step, inverse_kinematics
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.tool_goals import GoalRegion
 
@@ -19,7 +19,6 @@ POSTURE_REACHES = 0.02
 """Distance, m, from a region up to which a posture is taken to reach it."""
 
 _ITERATIONS = 30
-_LARGEST_STEP = 0.3
 _DAMPING = 1e-6
 _REACHED = 1e-3
 """Metres up to which a point is taken to be where it should."""
@@ -75,14 +74,9 @@ def _moved(
     """Return configurations (N,n) that carry a point to (N,3) m, and by how much they fail."""
     for _ in range(_ITERATIONS):
         here, jacobian = robot.carried_points(q, point)
-        offset = target - here
-        transposed = jacobian.swapaxes(1, 2)
-        square = jacobian @ transposed + _DAMPING * np.eye(3)
-        change = (transposed @ np.linalg.solve(square, offset[..., None]))[..., 0]
-        largest = np.abs(change).max(axis=1, keepdims=True)
-        change *= np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))
+        change = damped_step(jacobian, target - here, _DAMPING)
         q = np.clip(q + change, robot.lower, robot.upper)
-        if largest.max() < 1e-6:
+        if np.abs(change).max() < 1e-6:
             break
     return q, np.linalg.norm(target - robot.carried_points(q, point)[0], axis=1)
 

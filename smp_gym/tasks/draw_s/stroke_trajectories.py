@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
+from smp_gym.robot.forward_kernels import sphere_paths
 from smp_gym.robot.kinematics import PEN_TIP
-from smp_gym.sampling import kernels
 from smp_gym.sampling.detours import smoothstep
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.witness import WITNESS_SAMPLES, within_limits
@@ -92,7 +92,7 @@ def tip_path(trajectory: FloatArray) -> FloatArray:
     """Return the path (T, 1, 3) m of the pen's tip on a trajectory (T, 6) rad."""
     hand = len(kinematics.LINKS) - 1
     tip = kinematics.END_EFFECTOR[:3, :3] @ PEN_TIP + kinematics.END_EFFECTOR[:3, 3]
-    return kernels.sphere_paths(
+    return sphere_paths(
         np.ascontiguousarray(trajectory),
         kinematics.BASE_TRANSFORM,
         kinematics.JOINT_ORIGINS,

@@ -3,7 +3,7 @@ import pybullet
 import pytest
 
 from smp_gym.assets import jaco_urdf
-from smp_gym.robot import kinematics
+from smp_gym.robot import kinematics, spheres
 from smp_gym.robot.kinematics import (
     JOINT_LOWER,
     JOINT_UPPER,
@@ -83,7 +83,7 @@ def test_fingers_are_where_the_physics_engine_has_them(engine):
     for name in ("finger_1", "finger_tip_1", "finger_2", "finger_tip_2"):
         link = f"j2s6s200_link_{name}"
         pose = engine.pose(link)
-        local = kinematics._link_spheres(link)[:, :3]
+        local = spheres._link_spheres(link)[:, :3]
         expected.append(local @ pose[:3, :3].T + pose[:3, 3])
     np.testing.assert_allclose(centers, np.concatenate(expected), atol=2e-6)
 

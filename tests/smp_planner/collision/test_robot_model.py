@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from smp_gym.robot import forward_kernels as compiled
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import SphereSet
-from smp_planner.collision import kernels as compiled
 from smp_planner.collision.robot_model import RobotModel, jaco_model
 
 
