@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import (
     END_EFFECTOR,
@@ -25,8 +26,6 @@ LINEAR_SPEED = 0.15
 
 ANGULAR_SPEED = 0.5
 """rad/s of the end effector at an angular action of 1."""
-
-FloatArray = NDArray[np.float64]
 
 _ITERATIONS = 3
 _DAMPING = 0.02

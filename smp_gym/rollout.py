@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.control import reference_action
 from smp_gym.observation import CONTROL_PERIOD, state_field
 from smp_gym.robot.kinematics import JOINT_VELOCITY
@@ -36,7 +37,6 @@ _HOLDING_STEPS = 10
 """Steps after a release, while the hand closes, and at the end with the object held."""
 
 Env = gymnasium.Env[Any, Any]
-FloatArray = NDArray[np.float64]
 
 
 class Policy(Protocol):

@@ -12,6 +12,7 @@ PACKAGES = ("smp_gym", "smp_planner", "envs_assets")
 MAKING = ("agents", "benchmark", "experiments")
 TRAINING = (("smp_planner", "agents"), ("smp_gym", "inspection"))
 ALLOWED_OF_GYM = {
+    "arrays",
     "scene",
     "compiling",
     "observation",

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.assets import asset_path
 from smp_gym.robot.pen import pen_path
 from smp_gym.scene import Scene
@@ -32,8 +32,6 @@ FORMAT_VERSION = 1
 """Version of the file format that `Demonstrations.save` writes."""
 
 _ARRAYS = ("configurations", "gripper", "durations")
-
-FloatArray = NDArray[np.float64]
 
 
 def _checked_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:

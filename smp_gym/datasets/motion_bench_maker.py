@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.distance import PackedObstacles, signed_distance
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
@@ -36,7 +36,6 @@ from smp_gym.scene import (
 __all__ = ["load_obstacles", "load_scene"]
 
 _Vector = tuple[float, float, float]
-FloatArray = NDArray[np.float64]
 
 _DIMENSIONS = {name: shape.dimensions for name, shape in REGISTRY.items()} | {"cone": 2}
 _NUMBERS = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}

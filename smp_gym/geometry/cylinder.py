@@ -6,15 +6,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.geometry.box import Box
 from smp_gym.geometry.shape import Shape, revolved
 
 __all__ = ["Cylinder"]
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.geometry import registry
 from smp_gym.geometry.registry import REGISTRY, SHAPES
@@ -34,8 +35,6 @@ __all__ = [
     "signed_distance_and_gradient",
     "to_local",
 ]
-
-FloatArray = NDArray[np.float64]
 
 _body_distance, _body_gradient = registry.distance, registry.gradient
 

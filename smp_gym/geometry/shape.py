@@ -8,11 +8,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smp_gym.arrays import FloatArray
 
 __all__ = ["Shape", "SolidArguments", "revolved"]
-
-FloatArray = NDArray[np.float64]
 Kernel = Callable[..., Any]
 
 _SECTORS = 40

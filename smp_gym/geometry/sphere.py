@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.geometry.shape import Shape, revolved
 
 __all__ = ["Sphere"]
-
-FloatArray = NDArray[np.float64]
 
 _RINGS = 20
 

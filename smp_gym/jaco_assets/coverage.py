@@ -12,16 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from smp_gym.arrays import FloatArray
 from smp_gym.jaco_assets.description import description, link_spheres
 from smp_gym.jaco_assets.solids import Shape
 
 __all__ = ["Coverage", "coverage_table", "measure", "mesh_points"]
-
-FloatArray = NDArray[np.float64]
 
 _SAMPLES = 40_000
 """Points on a surface: on a link they are less than 2 mm apart."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-__all__ = ["AXES", "Box", "Cylinder", "Shape", "Vector", "clipped", "enclosing_ball"]
+from smp_gym.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
+__all__ = ["AXES", "Box", "Cylinder", "Shape", "Vector", "clipped", "enclosing_ball"]
 Vector = tuple[float, float, float]
 
 AXES = "xyz"

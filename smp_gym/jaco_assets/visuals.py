@@ -11,15 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.assets import asset_path
 
 __all__ = ["Body", "Loft", "Plate", "obj", "visual_bodies"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Row = tuple[float, float, float, float, float]
 
 _AROUND = 24

@@ -12,6 +12,7 @@ import pybullet
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE, RobotState
 from smp_gym.physics.world import BulletWorld
 from smp_gym.robot import kinematics
@@ -43,8 +44,6 @@ _FINGER_FORCE = 1.2  # N m
 _FINGER_VELOCITY = 1.0  # rad/s, the vendor's limit
 _FINGER_GAIN = 0.3
 _GRIP_MARGIN = 0.01  # rad, above the wobble of fingers at rest
-
-FloatArray = NDArray[np.float64]
 
 
 def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:

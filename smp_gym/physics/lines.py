@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Line", "draw_lines", "wire_box"]
+from smp_gym.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
+__all__ = ["Line", "draw_lines", "wire_box"]
 
 _SUBDIVISION = 16
 _DEPTH_SLACK = 1e-4

@@ -6,9 +6,9 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from smp_gym import assets
+from smp_gym.arrays import FloatArray
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, ObjectState, RobotState
 from smp_gym.physics.jaco import ARM, HAND_LINKS, Jaco, set_grip_friction
 from smp_gym.physics.lines import Line, wire_box
@@ -34,8 +34,6 @@ SUBSTEPS = round(CONTROL_PERIOD / PHYSICS_PERIOD)
 
 CLEARANCE_LIMIT = 0.05
 """m; larger clearances are not told apart."""
-
-FloatArray = NDArray[np.float64]
 
 _TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
 _OBJECT_COLOR = (0.96, 0.80, 0.20, 1.0)

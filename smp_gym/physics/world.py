@@ -18,6 +18,7 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.geometry.shape import SolidArguments
 from smp_gym.physics.lines import Line, draw_lines
@@ -33,8 +34,6 @@ GRAVITY = 9.81
 
 Contact = tuple[str, str]
 """Names of two touching parts (a link of the arm, or a body), in alphabetical order."""
-
-FloatArray = NDArray[np.float64]
 Color = tuple[float, float, float, float]
 
 OBSTACLE_COLORS: tuple[Color, ...] = (

@@ -9,7 +9,9 @@ Metres, radians, seconds; poses are (4, 4) homogeneous matrices.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from smp_gym.arrays import FloatArray
 
 __all__ = [
     "BASE_TRANSFORM",
@@ -30,8 +32,6 @@ __all__ = [
     "end_effector_pose",
     "link_transforms",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.chain import (
     END_EFFECTOR,
     JOINT_LOWER,
@@ -16,8 +17,6 @@ from smp_gym.robot.chain import (
 )
 
 __all__ = ["UnreachableError", "damped_step", "inverse_kinematics", "pose_errors", "pose_jacobians"]
-
-FloatArray = NDArray[np.float64]
 
 
 class UnreachableError(ValueError):

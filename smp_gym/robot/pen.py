@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import PEN_TIP, end_effector_pose
 
 __all__ = ["PEN_CONFIGURATION", "PEN_POSE", "pen_path"]
-
-FloatArray = NDArray[np.float64]
 
 PEN_CONFIGURATION = (-1.52, 2.96, 0.83, 0.63, 3.07, -0.61)
 """Joint angles in which the hand closes on the pen before it is put at an episode's start, rad."""

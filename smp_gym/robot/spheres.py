@@ -8,8 +8,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.assets import asset_path
 from smp_gym.robot.chain import (
     END_EFFECTOR,
@@ -34,9 +35,6 @@ __all__ = [
     "self_collision_pairs",
     "sphere_centers",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _FINGERS = ("j2s6s200_link_finger_1", "j2s6s200_link_finger_2")
 _TIPS = ("j2s6s200_link_finger_tip_1", "j2s6s200_link_finger_tip_2")

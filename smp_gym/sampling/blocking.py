@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.candidates import Candidates
 from smp_gym.sampling.choice import apart, choose
@@ -19,9 +19,6 @@ from smp_gym.sampling.transfer import Query, carry
 from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
 
 __all__ = ["block", "block_around_witness"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _FAMILIES = 4
 _ROUNDS = 3

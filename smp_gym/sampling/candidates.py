@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.family import BLOCKING_DEPTH, Family
 
 __all__ = ["Candidates"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _DEPTH = BLOCKING_DEPTH + 0.01
 """Metres: how deep an obstacle has to reach on the grid, whose guesses are the least of many and so

@@ -7,15 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.sampling.bitsets import ones, packed
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.scene import SHAPES
 
 __all__ = ["REPEATED", "apart", "choose", "widths"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _OVERLAP = 0.8
 """How near the axes of obstacles may come, as a share of the sum of their widths."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import (
     BIN_FLOOR_THICKNESS,
     BIN_HEIGHT,
@@ -19,8 +19,6 @@ from smp_gym.scene import (
 )
 
 __all__ = ["fixture_rows", "to_configuration", "to_obstacle", "to_row", "to_solid_row"]
-
-FloatArray = NDArray[np.float64]
 
 
 def to_configuration(q: FloatArray) -> Configuration:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smp_gym.arrays import FloatArray
 
 __all__ = ["detour_basis", "detours", "resample", "smoothstep"]
-
-FloatArray = NDArray[np.float64]
 
 
 _DETOUR_STD = 0.2

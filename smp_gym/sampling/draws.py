@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.sampling.conversion import to_configuration, to_obstacle
 from smp_gym.scene import Goal, ManipulatedObject, Scene
 
 __all__ = ["Draw", "SceneSampler", "first_scene"]
-
-FloatArray = NDArray[np.float64]
 
 _DEFAULT_OBJECT = ManipulatedObject()
 

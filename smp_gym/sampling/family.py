@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.detours import detour_basis, detours
@@ -16,9 +17,6 @@ from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_
 from smp_gym.scene import goal_boxes
 
 __all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 BLOCKING_DEPTH = 0.015

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.conversion import fixture_rows, to_row, to_solid_row
@@ -24,8 +24,6 @@ from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import Goal
 
 __all__ = ["furnish"]
-
-FloatArray = NDArray[np.float64]
 
 _CLEARANCE = 0.02
 """m, what furniture leaves between itself and the witness's spheres."""

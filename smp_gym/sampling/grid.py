@@ -14,13 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.sampling.kernels import point_distance
 
 __all__ = ["Grid", "near", "rasterise"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _ORIGIN = np.array([0.04, -0.76, 0.0])
 _SPACING = 0.04

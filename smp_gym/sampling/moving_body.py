@@ -8,13 +8,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.robot.forward_kernels import sphere_paths
 from smp_gym.sampling import kernels
 
 __all__ = ["MovingBody"]
-
-FloatArray = NDArray[np.float64]
 _Body = TypeVar("_Body", bound="MovingBody")
 
 

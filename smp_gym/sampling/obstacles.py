@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.choice import widths
 from smp_gym.sampling.conversion import to_solid_row
@@ -23,9 +24,6 @@ __all__ = [
     "draw_rows",
     "vary",
 ]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 _HAND_LINK = 5

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smp_gym.arrays import FloatArray
 from smp_gym.sampling.draws import first_scene
 from smp_gym.sampling.furniture import FURNITURE
 from smp_gym.sampling.specification import SPECIFICATIONS, generator
@@ -19,8 +17,6 @@ __all__ = [
     "sample_scene",
     "sample_with_witness",
 ]
-
-FloatArray = NDArray[np.float64]
 
 _MAX_DRAWS = 200
 _MAX_FURNISHED_DRAWS = 400

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.sampling.detours import resample, smoothstep
@@ -15,8 +16,6 @@ from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.scene import Configuration, Goal, ManipulatedObject
 
 __all__ = ["Query", "Transfer", "carry", "make_transfer", "release_configuration"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.moving_body import MovingBody
 
 __all__ = ["FIXTURE_CLEARANCE", "WITNESS_SAMPLES", "is_witness", "within_limits"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 WITNESS_SAMPLES = 200

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.scene import Scene
 from smp_gym.tasks.goals import GoalCodec
@@ -21,7 +22,6 @@ failure too, forgives the distance left: 2 m of it must count for much less than
 
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

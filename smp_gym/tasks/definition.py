@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
+
 if TYPE_CHECKING:
     from smp_gym.datasets.demonstrations import Demonstrations
     from smp_gym.sampling.draws import SceneSampler
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["Task", "TaskDefinition"]
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

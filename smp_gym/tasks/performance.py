@@ -8,8 +8,8 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation, decode
 from smp_gym.robot.kinematics import JOINT_VELOCITY
@@ -19,8 +19,6 @@ __all__ = ["SPEED_LIMIT", "Performance", "Performer", "Report", "collect", "draw
 
 SPEED_LIMIT = 0.9
 """Share of the joint velocity limits that a demonstrator uses at most."""
-
-FloatArray = NDArray[np.float64]
 
 Report = Callable[[str], None]
 """Is told how each performance went, in one line."""

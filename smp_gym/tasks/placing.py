@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
 from smp_gym.scene import Scene
 from smp_gym.tasks.common import CommonRules
 from smp_gym.tasks.goals import Field, flag
@@ -17,7 +18,6 @@ from smp_gym.tasks.status import Status
 __all__ = ["GRASP_FINGER_ANGLES", "PLACING_FLAGS", "SET_DOWN", "PlacingTask"]
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import GRASP_CENTER, end_effector_pose, inverse_kinematics
@@ -27,8 +27,6 @@ _SEED = 0
 
 _RELEASE_STEPS = 60
 """Environment steps that the object is given to come to rest."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,16 @@ import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
+from smp_gym.arrays import FloatArray
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts
 from smp_planner.collision.costs import REFERENCE_STEPS
 from smp_planner.movement_primitives import ProMP, phases
 
 __all__ = ["FlowSettings", "flow"]
-
-FloatArray = NDArray[np.float64]
 
 
 class FlowSettings(BaseModel):

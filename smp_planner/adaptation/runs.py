@@ -11,11 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from smp_gym.arrays import FloatArray
 from smp_planner.movement_primitives import ProMP, phases
 
 __all__ = ["Adapt", "Good", "Runs", "SceneCosts", "Target", "latent_gradient"]
-
-FloatArray = NDArray[np.float64]
 
 Good = Callable[[Tensor], NDArray[np.bool_]]
 """From particles (B, P, r) in whitened coordinates to which of them, (B, P), are good already."""

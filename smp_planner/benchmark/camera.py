@@ -12,15 +12,13 @@ from typing import Any
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 
 __all__ = ["Camera", "Painter", "body_faces"]
-
-FloatArray = NDArray[np.float64]
 
 _LIGHT = np.array([0.45, -0.25, 0.86])
 _ROUND = 40

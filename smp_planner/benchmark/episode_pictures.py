@@ -18,6 +18,7 @@ from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
@@ -56,8 +57,6 @@ _HALO = 0.04
 # The chosen path is drawn this much nearer, m, to stand out among the others.
 _FOREGROUND = 0.15
 _AZIMUTH, _ELEVATION, _DISTANCE = -28.0, 28.0, 2.2
-
-FloatArray = NDArray[np.float64]
 
 
 def object_paths(trajectories: FloatArray, point: FloatArray = GRASP_CENTER) -> FloatArray:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import Scene, fixtures
 from smp_planner.occupancy.grid import DistanceGrid, bake
@@ -26,8 +26,6 @@ NEAR = 0.03
 """Distance, m, from the surface within which the error is measured."""
 
 _POINTS_PER_OBSTACLE = 4000
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 from rich.table import Table
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.distance import PackedObstacles, signed_distance
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import SHAPES, TABLE, Goal, Obstacle, Scene, fixtures
@@ -34,8 +34,6 @@ ABOVE_TABLE = 0.04
 
 LABELLED, INFLATION = 100_000, 0.02
 """Points that the trained map learns from, and by how much the bodies are enlarged for it, m."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass

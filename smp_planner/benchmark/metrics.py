@@ -19,10 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import ot
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.distance import cdist, pdist
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 
 __all__ = [
@@ -46,8 +47,6 @@ COMPARED_SAMPLES = 50
 
 _TRANSPORT_ITERATIONS = 10_000_000
 _JERK_DEGREE = 5
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.collision import kernels as compiled
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.occupancy.grid import DistanceGrid
@@ -35,8 +36,6 @@ __all__ = [
     "check_trajectories",
     "steps_scale",
 ]
-
-FloatArray = NDArray[np.float64]
 ValueAndGradient = tuple[FloatArray, FloatArray]
 
 REFERENCE_STEPS = 50

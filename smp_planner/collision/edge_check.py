@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
 from smp_gym.robot.forward_kernels import chain, place, sine_cosine
@@ -27,9 +28,6 @@ from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_s
 from smp_planner.collision.verification import TOLERANCE, self_gap_of
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Halvings of one edge: enough for ways of a kilometre.
 _DEPTH = 22

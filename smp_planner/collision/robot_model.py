@@ -11,13 +11,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.robot import forward_kernels, kinematics
 from smp_gym.robot.kinematics import SphereSet
 
 __all__ = ["LinkPairs", "RobotArrays", "RobotModel", "jaco_model", "jaco_of_spheres"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:

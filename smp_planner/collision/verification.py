@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
 from smp_gym.robot.forward_kernels import chain, place, sine_cosine
@@ -36,9 +37,6 @@ __all__ = [
     "verify",
     "within_joint_limits",
 ]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 TOLERANCE = 1e-3
 """Metres by which the clearance of a path may be overestimated."""

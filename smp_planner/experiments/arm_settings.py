@@ -13,11 +13,10 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import gymnasium
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.arrays import FloatArray
 from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.metrics import compare, resample
 from smp_planner.experiments.paths import diversity
@@ -66,7 +65,6 @@ COLUMNS = (
 """Of the printed table. Similarity, modes and diversity are those of the good particles."""
 
 _REFERENCE_SIZE = 400
-FloatArray = NDArray[np.float64]
 
 
 class Cell(NamedTuple):

@@ -15,9 +15,9 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
+from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import adaptation
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
@@ -60,8 +60,6 @@ COLUMNS = (
 """Of the printed table of `box_row`s."""
 
 _STDS = 2.0
-
-FloatArray = NDArray[np.float64]
 
 
 def regions(primitive: SMP, phase: Literal[0, 1]) -> tuple[Box, ...]:

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
+from smp_gym.arrays import FloatArray
 from smp_planner.benchmark.metrics import log_dimensionless_jerk, path_lengths
 from smp_planner.experiments.figures import draw_side_by_side
 from smp_planner.experiments.lasa_scenes import LasaScene, Method, learn
@@ -63,8 +63,6 @@ _TITLES = {
     "cpromp": "CProMPs",
     "prompt_o": "ProMPT-O",
 }
-
-FloatArray = NDArray[np.float64]
 
 
 def compare(

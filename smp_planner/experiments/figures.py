@@ -10,14 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle as Disc
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.library.smp import AnyOf, ViaPoint
 
 __all__ = ["draw_side_by_side"]
-
-FloatArray = NDArray[np.float64]
 
 _DEMONSTRATION, _ADAPTED, _OLD_END, _NEW_END = "#c9252b", "#2e9e44", "#2563c4", "#c9252b"
 _WIDTH, _LEAST_PANEL, _GREATEST_PANEL, _TEXT = 9.0, 3.0, 5.0, 0.9

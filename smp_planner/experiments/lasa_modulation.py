@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted
 from smp_planner.experiments.figures import draw_side_by_side
@@ -33,9 +33,6 @@ COLUMNS = (
     Column("worst_end_error", "Greatest end error, mm"),
 )
 """Of the printed table of `modulation_row`s."""
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 def modulate(

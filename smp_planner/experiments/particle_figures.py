@@ -14,7 +14,6 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
@@ -44,8 +43,6 @@ __all__ = [
     "find_two_modes",
     "modulated_scene",
 ]
-
-FloatArray = NDArray[np.float64]
 
 FRAME_SIZE = (640, 480)
 """Width and height of the pictures of an episode, pixels."""

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray, IntArray
 from smp_planner.benchmark import metrics
 from smp_planner.library.shapes import Circle
 from smp_planner.planning.modes import Modes, group, signatures_2d
 
 __all__ = ["classes", "clearances", "diversity", "similarity", "total_variation"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _SIMILARITY = ("wasserstein", "frechet", "mmd")
 

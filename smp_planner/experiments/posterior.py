@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray, IntArray
 from smp_planner.benchmark.metrics import resample, wasserstein
 from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.experiments.paths import clearances, diversity, total_variation
@@ -29,9 +29,6 @@ from smp_planner.planning.modes import group
 __all__ = ["Reference", "columns", "exact_draws", "posterior_row", "within_spread"]
 
 _COMPARED = 1000
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

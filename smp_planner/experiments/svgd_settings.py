@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
+from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted, common_ends, reference_of
 from smp_planner.experiments.lasa_scenes import (
@@ -43,8 +43,6 @@ EXACT = "draws of it"
 """Setting in the rows of as many draws from the posterior as there are particles."""
 
 _SETTINGS = settings().model_copy(update={"samples": 200})
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
+from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import adaptation
 from smp_planner.benchmark.metrics import resample, wasserstein
 from smp_planner.experiments.comparison import adapted, reference_of
@@ -79,8 +79,6 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
     ),
 }
 """What is tried, by method."""
-
-FloatArray = NDArray[np.float64]
 
 
 def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:

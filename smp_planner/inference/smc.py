@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import logsumexp
 
-__all__ = ["LogLikelihood", "Posterior", "SMCSettings", "sample_posterior"]
+from smp_gym.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
+__all__ = ["LogLikelihood", "Posterior", "SMCSettings", "sample_posterior"]
 
 LogLikelihood = Callable[[FloatArray], FloatArray]
 """From standard normals (P, d) to log p(O|z), (P,), finite."""

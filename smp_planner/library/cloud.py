@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from smp_gym.arrays import FloatArray
 from smp_planner.library.frame import Frame
 from smp_planner.occupancy.neural import INFLATION, PointNetworkMap, train_map
 from smp_planner.occupancy.occupancy_map import TRUNCATION
@@ -22,8 +23,6 @@ from smp_planner.planning.maps import Workspace
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["THICKNESS", "PointCloud", "learned_cloud"]
-
-FloatArray = NDArray[np.float64]
 
 THICKNESS = 0.05
 """Extents (m for a robot), how deep things are taken to be unless the cloud says otherwise."""

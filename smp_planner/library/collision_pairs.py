@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.collision.robot_model import RobotModel
 
 __all__ = ["PAIR_GAP", "with_collision_pairs"]
-
-FloatArray = NDArray[np.float64]
 
 PAIR_GAP = 0.01
 """m, least gap of two spheres in all demonstrations from which on they are kept apart."""

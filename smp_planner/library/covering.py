@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
+
+from smp_gym.arrays import FloatArray
 
 __all__ = ["cover_mesh"]
-
-FloatArray = NDArray[np.float64]
 
 
 def cover_mesh(mesh: Any, cell: float) -> FloatArray:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from smp_gym.arrays import FloatArray
 
 __all__ = ["Frame"]
-
-FloatArray = NDArray[np.float64]
 
 _GRAINS = 2.0**30
 """Normalised numbers are multiples of one over this, a billionth of an extent. So data in another

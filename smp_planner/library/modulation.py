@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import FloatArray
 from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["AnyOf", "Box", "ViaPoint"]
-
-FloatArray = NDArray[np.float64]
 
 
 def _vector(name: str, value: ArrayLike) -> FloatArray:

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.movement_primitives.samples import checked_demonstrations
 
 __all__ = ["demonstrations_of", "read_csv", "read_npz"]
-
-FloatArray = NDArray[np.float64]
 
 _NUMBERED = "demonstration_"
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.frame import Frame
@@ -19,8 +19,6 @@ from smp_planner.planning.constraints import Constraint, Passing, Place, Reachin
 from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["Wanted", "constraints_of"]
-
-FloatArray = NDArray[np.float64]
 Wanted = ArrayLike | Box | GoalRegion | AnyOf
 """Where a path may be asked to start or end."""
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import Obstacle
 from smp_planner.library.cloud import PointCloud, learned_cloud
 from smp_planner.library.frame import Frame
@@ -21,8 +21,6 @@ from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["Scene"]
-
-FloatArray = NDArray[np.float64]
 
 REFERENCE_SPHERES = 32
 """Spheres to which the collision cost of a robot is scaled, however finely it is covered."""

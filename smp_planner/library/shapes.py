@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import Obstacle
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.frame import Frame
 
 __all__ = ["Circle", "PathObstacle", "Rectangle", "bodies", "outline"]
-
-FloatArray = NDArray[np.float64]
 
 _DEPTH = 1.0
 """Half height, in extents, of the columns that plane obstacles are; paths run at half height."""

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import Adaptation, adaptation
 from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, SMOOTH_STD, AdaptSettings
 from smp_planner.library.cloud import PointCloud
@@ -52,8 +52,6 @@ __all__ = [
     "Robot",
     "ViaPoint",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 class SMP:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.urdf import Robot
@@ -21,8 +22,6 @@ from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.planning.settings import PriorSettings
 
 __all__ = ["read_primitive", "write_primitive"]
-
-FloatArray = NDArray[np.float64]
 
 _HEADER = {"format": "smp_planner.primitive", "version": 1}
 _CHAIN = ("base", "joint_origins", "end_effector", "lower", "upper", "velocity")

@@ -14,17 +14,15 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.covering import cover_mesh
 
 __all__ = ["ENDLESS", "Robot"]
-
-FloatArray = NDArray[np.float64]
 
 ENDLESS = 4.0 * math.pi
 """rad either way, limits of a continuous joint for which the URDF names none."""

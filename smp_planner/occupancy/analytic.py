@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.geometry.distance import PackedObstacles, signed_distance, to_local
 from smp_gym.geometry.registry import distance as body_distance
@@ -15,8 +16,6 @@ from smp_gym.scene import Obstacle
 from smp_planner.occupancy.occupancy_map import TRUNCATION, window
 
 __all__ = ["AnalyticMap"]
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel

@@ -23,6 +23,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import nn
 
+from smp_gym.arrays import Float32Array
 from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance
 from smp_gym.scene import Obstacle
 from smp_planner.occupancy.archive import read_archive, write_archive
@@ -31,8 +32,6 @@ from smp_planner.occupancy.occupancy_map import TRUNCATION
 from smp_planner.occupancy.redistancing import redistance
 
 __all__ = ["PointNetwork", "PointNetworkMap", "sample_labelled_points", "train_map"]
-
-Float32Array = NDArray[np.float32]
 
 INFLATION = 0.02
 """Default distance, m, by which bodies are grown before points are labelled."""

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.arrays import Float32Array
 from smp_gym.compiling import kernel
 from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance, to_local
 from smp_gym.scene import Obstacle
@@ -31,8 +32,6 @@ from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.occupancy_map import window
 
 __all__ = ["NETWORK_SHAPES", "ShapeNetworkMap", "ShapeNetworks", "default_networks", "face_offsets"]
-
-Float32Array = NDArray[np.float32]
 
 _BOX, _CYLINDER = 0, 1
 NETWORK_SHAPES = ("box", "cylinder", "sphere")

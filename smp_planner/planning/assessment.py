@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 from smp_planner.planning.constraints import Reaching
@@ -19,10 +19,6 @@ from smp_planner.planning.ranking import rank
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["Verdict", "assess", "free_waypoints", "make_plan", "signatures"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 _ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
 """By how much, m, the middles of obstacles are moved for signatures: in a scene made by hand, a

@@ -12,9 +12,9 @@ from functools import reduce
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.geometry.distance import PackedObstacles, signed_distance, signed_distance_and_gradient
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import (
@@ -51,9 +51,6 @@ __all__ = [
     "path_clearance",
     "reachable_box",
 ]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 DistanceMap = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From points (N, 3) to signed distance (N,) and its gradient (N, 3)."""
 

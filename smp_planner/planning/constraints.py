@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.collision.costs import Cost, ValueAndGradient, check_trajectories
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
@@ -36,8 +37,6 @@ __all__ = [
     "mixture_cost",
     "spread_to_steps",
 ]
-
-FloatArray = NDArray[np.float64]
 
 GOAL_STD = 0.005
 """Standard deviation, m, with which the primitive is conditioned on the goal point."""

@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import entr
 
-__all__ = ["Modes", "best_of_each", "group", "signatures_2d", "signatures_3d"]
+from smp_gym.arrays import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+__all__ = ["Modes", "best_of_each", "group", "signatures_2d", "signatures_3d"]
 
 _TOUCHING = 1e-9
 """Distance, over the extent of the paths, within which the side of a point is left to rounding."""

@@ -16,9 +16,9 @@ from functools import partial
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.adaptation import Adaptation, Runs
 from smp_planner.movement_primitives import ProMP
@@ -39,9 +39,6 @@ __all__ = [
     "one_thread",
     "plan_problems",
 ]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @contextmanager

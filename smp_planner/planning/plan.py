@@ -7,15 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_planner.planning.modes import Modes, best_of_each, group
 
 __all__ = ["Plan"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

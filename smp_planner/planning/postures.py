@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError, damped_step, inverse_kinematics
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["final_posture", "pose_chain", "reaching"]
-
-FloatArray = NDArray[np.float64]
 
 POSTURE_REACHES = 0.02
 """Distance, m, from a region up to which a posture is taken to reach it."""

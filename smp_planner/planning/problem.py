@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel, jaco_model, jaco_of_spheres
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from smp_planner.planning.plan import Plan
 
 __all__ = ["Planner", "Problem", "Stage", "arm_problem", "arm_stage"]
-
-FloatArray = NDArray[np.float64]
 _Kind = TypeVar("_Kind")
 
 

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SAFE_CLEARANCE", "rank"]
+from smp_gym.arrays import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+__all__ = ["SAFE_CLEARANCE", "rank"]
 
 SAFE_CLEARANCE = 0.01
 """Clearance, m (or extents), beyond which more of it makes a particle no better."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from smp_gym.arrays import FloatArray
 from smp_planner.collision.costs import REFERENCE_STEPS, Cost, ValueAndGradient, steps_scale
 from smp_planner.planning.bodies import ObstacleCost
 from smp_planner.planning.maps import SceneMaps
@@ -16,8 +16,6 @@ from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["SceneTarget", "TargetBatch"]
-
-FloatArray = NDArray[np.float64]
 
 
 class SceneTarget:

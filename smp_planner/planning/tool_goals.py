@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.movement_primitives.box_prior import box_offset
 
 __all__ = ["GoalRegion", "ToolViaPoint", "ViaPose", "checked_array"]
-
-FloatArray = NDArray[np.float64]
 
 
 def checked_array(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:

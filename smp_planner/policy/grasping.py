@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import end_effector_pose
 from smp_planner.policy.tracking import gripper_event
@@ -23,8 +23,6 @@ AGREEMENT = 0.002
 
 VIA_POSES = 5
 """How many poses are taken from the stretch in which demonstrations agree."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

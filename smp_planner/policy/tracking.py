@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.control import reference_action
 from smp_gym.observation import CONTROL_PERIOD, state_field
 
@@ -24,8 +25,6 @@ SETTLING_STEPS = 4
 
 CLOSING_STEPS = 20
 """Control steps for which the arm stands still on its way while the hand closes."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import GRASP_CENTER
 from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Goal, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE
@@ -31,7 +32,6 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 SIDES = ("left", "right")
 """Left is where y is positive; goals stand in this order."""

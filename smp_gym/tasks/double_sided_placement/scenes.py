@@ -6,8 +6,8 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.sampling.blocking import block, block_around_witness
@@ -28,8 +28,6 @@ from smp_gym.tasks.double_sided_placement.rules import (
 )
 
 __all__ = ["SAMPLER", "demonstrated_transfers"]
-
-FloatArray = NDArray[np.float64]
 
 _GOAL_CLEARANCE = 0.01
 """m, of obstacles from the pads, sideways."""

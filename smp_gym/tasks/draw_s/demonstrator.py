@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets import lasa
 from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD
@@ -53,8 +53,6 @@ _RAMP = 0.15
 
 _DURATION = (10.5, 12.5)
 """Seconds of a demonstration."""
-
-FloatArray = NDArray[np.float64]
 
 
 def _on_sheet(letter: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
 from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.pen import PEN_POSE
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
@@ -29,7 +30,6 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 CHECKPOINT_TOLERANCE = 0.04
 """Metres: how near to a checkpoint the pen must come to have passed it."""

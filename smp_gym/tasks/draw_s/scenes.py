@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.choice import REPEATED, apart
@@ -47,10 +47,6 @@ from smp_gym.tasks.draw_s.stroke_trajectories import (
 )
 
 __all__ = ["SAMPLER"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 _BUMPS = {"easy": 2, "medium": 3, "hard": 3}
 """Bumps of a witness by difficulty."""

@@ -6,8 +6,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.forward_kernels import sphere_paths
@@ -33,8 +33,6 @@ __all__ = [
     "sample_stroke",
     "tip_path",
 ]
-
-FloatArray = NDArray[np.float64]
 
 END_SHIFT = (0.05, 0.06, 0.03)
 """Metres, largest shift of the stroke's end from where it was demonstrated, along x, y and z."""

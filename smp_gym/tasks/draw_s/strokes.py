@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import PEN_TIP
 from smp_gym.robot.pen import pen_path
 
 __all__ = ["follow", "moved"]
-
-FloatArray = NDArray[np.float64]
 
 _POSTURE_LENGTH = 5e-4
 """Metres that one radian away from the given posture counts as: next to nothing."""

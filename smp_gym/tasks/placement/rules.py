@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import GRASP_CENTER
 from smp_gym.scene import BIN_HEIGHT, BIN_INNER_HALF_WIDTH, Goal, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE
@@ -30,7 +31,6 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 START_CONFIGURATION = (-0.78, 3.53, 0.9813, 0.0568, 2.6632, -0.0361)
 """Joint angles at the start, rad: the object at (0.42, -0.40, 0.26) m, the hand 29 degrees down."""

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation
 from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
@@ -44,8 +44,6 @@ _LIFTED_TILT = 0.35
 
 _PUSHED_NEAR = np.array([-1.26, 4.2, 0.9, 0.0, 1.7, 0.0])
 """(6,) rad, a configuration near those at the end of a push."""
-
-FloatArray = NDArray[np.float64]
 
 
 def _draw_scene(rng: np.random.Generator) -> Scene:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.sampling.bitsets import ones, packed
 from smp_gym.sampling.choice import REPEATED, apart
@@ -19,9 +20,6 @@ from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.tasks.push_lift_box.legs import LegFamily
 
 __all__ = ["SPARE", "LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 
 _HAND_LINK = 5

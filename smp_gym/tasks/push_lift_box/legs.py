@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.detours import smoothstep
 from smp_gym.sampling.family import BLOCKING_DEPTH
@@ -27,9 +28,6 @@ __all__ = [
     "left_free",
     "make_family",
 ]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _MODES = (1.0, 0.5, 0.25)
 """Standard deviations of the modes of a detour: sin(pi s) sin(k pi s) along the leg, s from 0 to 1.

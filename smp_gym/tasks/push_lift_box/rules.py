@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray
 from smp_gym.scene import Goal, ManipulatedObject, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.goals import GoalCodec, flag, position
@@ -36,7 +37,6 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.floating[Any]]
-BoolArray = NDArray[np.bool_]
 
 HAND_HEIGHT = 0.045
 """Height of the end effector above the table while it pushes, m."""

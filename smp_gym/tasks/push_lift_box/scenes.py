@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.inverse_kernels import reach_points, reach_pose
@@ -44,9 +45,6 @@ from smp_gym.tasks.push_lift_box.legs import (
 )
 
 __all__ = ["SAMPLER"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
 """Which share of the trajectories may stay free of obstacles."""

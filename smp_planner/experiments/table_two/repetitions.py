@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.rollout import Rollout, rollout
 from smp_gym.scene import TASKS
@@ -47,8 +47,6 @@ __all__ = [
     "parse_row",
     "play_repetition",
 ]
-
-FloatArray = NDArray[np.float64]
 
 PARTICLES = 42
 """Trajectories of each repetition, as in the paper."""

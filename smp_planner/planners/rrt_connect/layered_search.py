@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 
 __all__ = ["way_through"]
-
-FloatArray = NDArray[np.float64]
 
 _PREDECESSORS = 4
 """From so many configurations of a layer, at most, a straight edge to each of the next is tried."""

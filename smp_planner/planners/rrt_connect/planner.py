@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.interpolate import CubicSpline
 
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
 from smp_planner.collision.edge_check import EdgeChecker
@@ -40,8 +40,6 @@ from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
 __all__ = ["RRTConnectPlanner", "RRTConnectSettings"]
-
-FloatArray = NDArray[np.float64]
 
 _CONTROL_POINTS = (7, 10, 14, 20, 28, 40, 56, 80)
 """Of the splines that are tried, from smooth to true to the path."""

@@ -7,15 +7,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_planner.collision.edge_check import EdgeChecker, edge_is_free, new_scratch
 
 __all__ = ["minimum_jerk", "path_length", "shortcut", "smooth", "stop_at_corners"]
-
-FloatArray = NDArray[np.float64]
 
 
 def path_length(path: ArrayLike) -> float:

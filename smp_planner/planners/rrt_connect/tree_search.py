@@ -9,12 +9,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_planner.collision.edge_check import EdgeChecker, edge_is_free, new_scratch
 
 __all__ = ["rrt_connect"]
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel
