@@ -152,6 +152,7 @@ def rollout(
     steps: int | None = None,
     deterministic: bool = True,
     recorders: Sequence[Recorder] = (),
+    ends: Callable[[Moment], bool] | None = None,
 ) -> Rollout:
     """Play one episode.
 
@@ -163,6 +164,7 @@ def rollout(
         steps: most steps that are played; by default the episode is played to its end.
         deterministic: handed to the policy.
         recorders: called in turn with each moment of the episode.
+        ends: whether to stop at a moment; by default when the episode is terminated or truncated.
     """
     observation, info = env.reset(seed=seed, options=None if scene is None else {"scene": scene})
     moment = Moment(env, 0, observation, info)
@@ -170,7 +172,8 @@ def rollout(
     while True:
         for record in recorders:
             record(moment)
-        if moment.terminated or moment.truncated or moment.step == steps:
+        over = moment.terminated or moment.truncated if ends is None else ends(moment)
+        if over or moment.step == steps:
             break
         begins = np.array([moment.step == 0])
         action, state = policy.predict(moment.observation, state, begins, deterministic)

@@ -11,11 +11,20 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations, resample
-from smp_gym.observation import CONTROL_PERIOD, DecodedObservation, decode
+from smp_gym.observation import CONTROL_PERIOD, state_field
 from smp_gym.robot.kinematics import JOINT_VELOCITY
+from smp_gym.rollout import Moment, Waypoints, rollout
 from smp_gym.scene import Scene
 
-__all__ = ["SPEED_LIMIT", "Performance", "Performer", "Report", "collect", "draw_duration"]
+__all__ = [
+    "SPEED_LIMIT",
+    "Performance",
+    "Report",
+    "collect",
+    "draw_duration",
+    "measured",
+    "perform",
+]
 
 SPEED_LIMIT = 0.9
 """Share of the joint velocity limits that a demonstrator uses at most."""
@@ -29,39 +38,37 @@ def draw_duration(bounds: tuple[float, float], rng: np.random.Generator) -> floa
     return round(rng.uniform(*bounds) / CONTROL_PERIOD) * CONTROL_PERIOD
 
 
-class Performer:
-    """Plays targets in an environment and remembers what the arm did.
+def perform(
+    env: gymnasium.Env,
+    scene: Scene,
+    targets: FloatArray,
+    gripper: FloatArray,
+    ends: Callable[[Moment], bool] | None = None,
+) -> list[Moment]:
+    """Return the moments of an episode in which the arm is led through targets.
 
     Args:
         env: of the scene's task.
         scene: in which to play.
-        to_the_end: whether to move on after success.
-
-    Attributes:
-        state: what the last observation says.
-        info: of the last step.
-        measured: (6,) rad at the start and after each step that was to be kept.
+        targets: (M, 6) rad, one a step.
+        gripper: (M,) the gripper's action in each.
+        ends: see `rollout`.
     """
+    moments: list[Moment] = []
+    rollout(
+        env,
+        Waypoints(targets, gripper),
+        scene=scene,
+        steps=len(targets),
+        recorders=[moments.append],
+        ends=ends,
+    )
+    return moments
 
-    def __init__(self, env: gymnasium.Env, scene: Scene, *, to_the_end: bool = False) -> None:
-        observation, self.info = env.reset(options={"scene": scene})
-        self._env, self._task, self._to_the_end = env, scene.task, to_the_end
-        self._done = False
-        self.state: DecodedObservation = decode(observation, scene.task)
-        self.measured = [self.state.robot.configuration]
 
-    def step(self, target: FloatArray, gripper: float, *, keep: bool = True) -> None:
-        """Move towards a target (6,) rad for one step, unless the episode is over."""
-        if self._done:
-            return
-        rate = (target - self.state.robot.reference) / (CONTROL_PERIOD * JOINT_VELOCITY)
-        action = np.append(np.clip(rate, -1.0, 1.0), gripper).astype(np.float32)
-        observation, _, terminated, truncated, self.info = self._env.step(action)
-        self.state = decode(observation, self._task)
-        over = self.info["collided"] if self._to_the_end else terminated
-        self._done = bool(over or truncated)
-        if keep:
-            self.measured.append(self.state.robot.configuration)
+def measured(moments: Iterable[Moment]) -> FloatArray:
+    """Return the configurations (M, 6) rad of the arm at moments."""
+    return np.array([state_field(moment.observation, "configuration") for moment in moments])
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.observation import CONTROL_PERIOD
+from smp_gym.observation import CONTROL_PERIOD, state_field
 from smp_gym.robot.kinematics import GRASP_CENTER, end_effector_pose, inverse_kinematics
 from smp_gym.scene import Configuration, Goal, ManipulatedObject, Scene
-from smp_gym.tasks.performance import Performance, Performer, Report, collect, draw_duration
+from smp_gym.tasks.performance import Performance, Report, collect, draw_duration, measured, perform
 
 __all__ = ["Script"]
 
@@ -127,15 +127,13 @@ def _perform(
 ) -> Performance:
     """Play a movement, open the hand at its end and wait for the outcome."""
     steps = round(duration / CONTROL_PERIOD)
-    player = Performer(env, scene)
-    fingers = player.state.robot.finger_angles
     targets = resample(movement, steps + 1)[1:]
-    for target in targets:
-        player.step(target, 0.0)
-    for _ in range(_RELEASE_STEPS):
-        player.step(targets[-1], -1.0)
-    measured = np.array(player.measured[: steps + 1])
-    return Performance(scene, movement, duration, measured, fingers, player.info)
+    released = np.repeat(targets[-1:], _RELEASE_STEPS, axis=0)
+    gripper = np.repeat([0.0, -1.0], [steps, _RELEASE_STEPS])
+    moments = perform(env, scene, np.concatenate([targets, released]), gripper)
+    fingers = state_field(moments[0].observation, "finger_angles")
+    kept = measured(moments[: steps + 1])
+    return Performance(scene, movement, duration, kept, fingers, moments[-1].info)
 
 
 def _hand_rotation(yaw: float, tilt: float) -> Rotation:

@@ -17,12 +17,12 @@ from scipy.interpolate import CubicSpline
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets import lasa
 from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.observation import CONTROL_PERIOD
+from smp_gym.observation import CONTROL_PERIOD, state_field
 from smp_gym.robot.pen import PEN_CONFIGURATION, pen_path
 from smp_gym.scene import STROKE_POINTS, Goal, Scene
 from smp_gym.tasks.draw_s.rules import equal_arc
 from smp_gym.tasks.draw_s.strokes import follow
-from smp_gym.tasks.performance import Performance, Performer, Report, collect, draw_duration
+from smp_gym.tasks.performance import Performance, Report, collect, draw_duration, measured, perform
 
 __all__ = ["demonstrate"]
 
@@ -117,12 +117,17 @@ def _performances() -> Iterator[Performance]:
         movement = _follow_path(_paced(_on_sheet(letter, rng)), np.asarray(PEN_CONFIGURATION))
         duration = draw_duration(_DURATION, rng)
         scene = _scene_of(movement)
-        player = Performer(env, scene, to_the_end=True)
-        fingers = player.state.robot.finger_angles
-        for target in resample(movement, round(duration / CONTROL_PERIOD) + 1)[1:]:
-            player.step(target, 0.0)
-        measured = np.array(player.measured)
-        yield Performance(scene, movement, duration, measured, fingers, player.info)
+        targets = resample(movement, round(duration / CONTROL_PERIOD) + 1)[1:]
+        moments = perform(
+            env,
+            scene,
+            targets,
+            np.zeros(len(targets)),
+            # Success, which ends an episode, does not end the movement.
+            ends=lambda moment: moment.info["collided"] or moment.truncated,
+        )
+        fingers = state_field(moments[0].observation, "finger_angles")
+        yield Performance(scene, movement, duration, measured(moments), fingers, moments[-1].info)
     env.close()
 
 

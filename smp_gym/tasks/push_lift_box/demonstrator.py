@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import DEMONSTRATION_SAMPLES, Demonstrations, resample
-from smp_gym.observation import CONTROL_PERIOD, DecodedObservation
+from smp_gym.observation import CONTROL_PERIOD, DecodedObservation, decode
 from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
 from smp_gym.scene import Goal, ManipulatedObject, Scene
-from smp_gym.tasks.performance import Performance, Performer, Report, collect, draw_duration
+from smp_gym.tasks.performance import Performance, Report, collect, draw_duration, measured, perform
 from smp_gym.tasks.push_lift_box import rules
 
 __all__ = ["demonstrate", "scripted_movement"]
@@ -146,17 +146,16 @@ def _performances(held: list[FloatArray]) -> Iterator[Performance]:
         steps = round(duration / CONTROL_PERIOD)
         targets = resample(movement, steps + 1)[1:]
         grasp = round(_GRASP_SAMPLE / (DEMONSTRATION_SAMPLES - 1) * steps)
-        player = Performer(env, scene)
-        for target in targets[:grasp]:
-            player.step(target, -1.0)
-        for _ in range(_CLOSING_STEPS):
-            player.step(targets[grasp - 1], 1.0, keep=False)
-        fingers = player.state.robot.finger_angles
-        held.append(_held_pose(player.state))
-        for target in targets[grasp:]:
-            player.step(target, 1.0)
+        closing = np.repeat(targets[grasp - 1][None], _CLOSING_STEPS, axis=0)
+        played = np.concatenate([targets[:grasp], closing, targets[grasp:]])
+        gripper = np.where(np.arange(len(played)) < grasp, -1.0, 1.0)
+        moments = perform(env, scene, played, gripper)
+        closed = grasp + _CLOSING_STEPS
+        state = decode(moments[closed].observation, _TASK)
+        held.append(_held_pose(state))
         # Success ends an episode a little before the movement does: the rest is as commanded.
-        kept = np.array(player.measured)
+        kept = measured([*moments[: grasp + 1], *moments[closed + 1 :]])
         kept = np.concatenate([kept, targets[len(kept) - 1 :]])
-        yield Performance(scene, movement, duration, kept, fingers, player.info)
+        fingers = state.robot.finger_angles
+        yield Performance(scene, movement, duration, kept, fingers, moments[-1].info)
     env.close()
