@@ -80,13 +80,13 @@ class Part:
 
     Attributes:
         component: index of the component.
-        branch: number of the combination of options within the component.
+        branch: numbers that tell it from others of its component; none if it is the only one.
         primitive: the component, conditioned.
         latent: (P_c, r) particles in its whitened coordinates.
     """
 
     component: int
-    branch: int
+    branch: tuple[int, ...]
     primitive: ProMP
     latent: Tensor
 
@@ -165,7 +165,8 @@ def conditioned_parts(
         for number, ((primitive, _), drawn) in enumerate(zip(branches, counts, strict=True)):
             if drawn:
                 latent = torch.from_numpy(rng.standard_normal((drawn, primitive.rank)))
-                parts.append(Part(index, number, primitive, latent))
+                branch = (number,) if len(branches) > 1 else ()
+                parts.append(Part(index, branch, primitive, latent))
     return parts
 
 
@@ -254,7 +255,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
         targets = [attempt.target for attempt, _ in group]
         runs = Runs.of([part.primitive for part in parts], settings.planning_steps)
         rngs = [
-            np.random.default_rng([attempt.problem.seed, 3, part.component, part.branch])
+            np.random.default_rng([attempt.problem.seed, 3, part.component, *part.branch])
             for (attempt, _), part in zip(group, parts, strict=True)
         ]
 
