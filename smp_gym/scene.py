@@ -321,7 +321,7 @@ def _pad_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     return (Obstacle(shape="box", position=(x, y, z - half), size=size),)
 
 
-_KINDS = (
+_GOAL_KINDS = (
     GoalKind("bin", _bin_boxes, ("bin",), (0.30, 0.45, 0.62, 1.0)),
     GoalKind("pad", _pad_boxes, ("pad_left", "pad_right")),
     GoalKind("stroke"),
@@ -335,7 +335,7 @@ def goal_kind(name: str) -> GoalKind:
     Raises:
         ValueError: no such kind.
     """
-    kinds = {kind.name: kind for kind in _KINDS}
+    kinds = {kind.name: kind for kind in _GOAL_KINDS}
     if name not in kinds:
         from smp_gym.tasks.registry import task_definitions
 

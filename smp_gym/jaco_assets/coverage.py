@@ -21,7 +21,7 @@ from smp_gym.jaco_assets.solids import Shape
 
 __all__ = ["Coverage", "coverage_table", "measure", "mesh_points"]
 
-_SAMPLES = 40_000
+_SURFACE_POINTS = 40_000
 """Points on a surface: on a link they are less than 2 mm apart."""
 
 
@@ -47,7 +47,7 @@ def mesh_points(directory: Path, names: Sequence[str]) -> FloatArray:
     points = []
     for name in names:
         mesh = trimesh.load_mesh(directory / f"{name}.dae")
-        points += [mesh.vertices, trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)[0]]
+        points += [mesh.vertices, trimesh.sample.sample_surface(mesh, _SURFACE_POINTS, seed=0)[0]]
     return np.concatenate(points)
 
 
@@ -58,12 +58,12 @@ def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) ->
     rng = np.random.default_rng(0)
 
     corners = np.concatenate([shape.hull() for shape in shapes])
-    around = rng.uniform(corners.min(axis=0), corners.max(axis=0), (20 * _SAMPLES, 3))
+    around = rng.uniform(corners.min(axis=0), corners.max(axis=0), (20 * _SURFACE_POINTS, 3))
     distance = np.min([shape.signed_distance(around) for shape in shapes], axis=0)
     shell = around[np.abs(distance) < 5e-4]
 
-    index = rng.integers(len(spheres), size=_SAMPLES)
-    direction = rng.normal(size=(_SAMPLES, 3))
+    index = rng.integers(len(spheres), size=_SURFACE_POINTS)
+    direction = rng.normal(size=(_SURFACE_POINTS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     surface = spheres[index, :3] + direction * spheres[index, 3:]
     reach = np.linalg.norm(surface[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3]

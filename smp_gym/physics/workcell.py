@@ -47,7 +47,7 @@ _PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
 _FAR_AWAY = (0.0, 0.0, 10.0)
 _IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
-_CLOSING_STEPS = 30
+_GRASP_STEPS = 30
 _SETTLING_STEPS = 20
 _STANDING_STEPS = 4
 _GRASP_TOLERANCE = 0.01
@@ -55,13 +55,13 @@ _GRASP_TOLERANCE = 0.01
 _SCENES_PER_WORLD = 500
 _DISPERSALS = 10
 
-_HAND = frozenset(HAND_LINKS)
+_HAND_PARTS = frozenset(HAND_LINKS)
 
 
 @cache
 def _group(part: str) -> str:
     """Return the group of a part, as `Task.permitted_contacts` names them."""
-    if part in _HAND:
+    if part in _HAND_PARTS:
         return "hand"
     if part in LINKS:
         return "arm"
@@ -246,7 +246,7 @@ class Workcell:
 
     def _close_hand(self) -> None:
         # Weightless until the fingers have closed on what they hold, then let it hang.
-        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
+        for gravity, steps in ((False, _GRASP_STEPS), (True, _SETTLING_STEPS)):
             self.world.set_gravity(gravity)
             for _ in range(steps):
                 self.arm.track()

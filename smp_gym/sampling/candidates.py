@@ -12,7 +12,7 @@ from smp_gym.sampling.family import BLOCKING_DEPTH, Family
 
 __all__ = ["Candidates"]
 
-_DEPTH = BLOCKING_DEPTH + 0.01
+_GRID_DEPTH = BLOCKING_DEPTH + 0.01
 """Metres: how deep an obstacle has to reach on the grid, whose guesses are the least of many and so
 rather too near."""
 
@@ -46,7 +46,7 @@ class Candidates:
     @classmethod
     def guessed(cls, family: Family, rows: FloatArray, clears: BoolArray) -> Candidates:
         """Return (C, 9) obstacles with what the grid says that they block."""
-        blocks = family.near(rows, -_DEPTH)[:, : family.proposals]
+        blocks = family.near(rows, -_GRID_DEPTH)[:, : family.proposals]
         blocks &= family.free[: family.proposals]
         return cls(rows, blocks, clears, np.zeros(len(rows), np.bool_))
 

@@ -85,7 +85,7 @@ def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tup
 _GOALS = GoalCodec((*map(position, _FIELDS), *PLACING_FLAGS), _encode, _decode)
 
 _HEIGHT_TOLERANCE = 0.015
-_TOLERANCE = np.array([PAD_HALF_WIDTH, PAD_HALF_WIDTH, _HEIGHT_TOLERANCE])
+_POSITION_TOLERANCE = np.array([PAD_HALF_WIDTH, PAD_HALF_WIDTH, _HEIGHT_TOLERANCE])
 _POSITIONS = tuple(map(_GOALS.columns, _FIELDS))
 assert _HEIGHT_TOLERANCE < PAD_LOWEST
 
@@ -141,7 +141,7 @@ class DoubleSidedPlacement(PlacingTask):
             height), the demanded flags are up and nothing collided.
         """
         near = [
-            (np.abs(achieved[..., at] - desired[..., at]) <= _TOLERANCE).all(axis=-1)
+            (np.abs(achieved[..., at] - desired[..., at]) <= _POSITION_TOLERANCE).all(axis=-1)
             for at in _POSITIONS
         ]
         there = np.stack(near, axis=-1)

@@ -70,7 +70,7 @@ _GOALS = GoalCodec((position("object_position"), *PLACING_FLAGS), _encode, _deco
 
 _HEIGHT_TOLERANCE = 0.05
 _POSITION = _GOALS.columns("object_position")
-_TOLERANCE = np.array([BIN_INNER_HALF_WIDTH, BIN_INNER_HALF_WIDTH, _HEIGHT_TOLERANCE])
+_POSITION_TOLERANCE = np.array([BIN_INNER_HALF_WIDTH, BIN_INNER_HALF_WIDTH, _HEIGHT_TOLERANCE])
 assert _HEIGHT_TOLERANCE < BIN_HEIGHT - 0.03
 
 
@@ -105,7 +105,7 @@ class Placement(PlacingTask):
             height), the demanded flags are up and nothing collided.
         """
         offset = np.abs(achieved[..., _POSITION] - desired[..., _POSITION])
-        near = np.asarray((offset <= _TOLERANCE).all(axis=-1))
+        near = np.asarray((offset <= _POSITION_TOLERANCE).all(axis=-1))
         # Most of an episode is far from its goal.
         return np.asarray(near & self._let_go(achieved, desired)) if near.any() else near
 

@@ -31,7 +31,7 @@ __all__ = [
     "TARGET_BEARING",
     "TARGET_HEIGHT",
     "TARGET_RADIUS",
-    "TOLERANCE",
+    "TARGET_TOLERANCE",
     "PushLiftBox",
     "push_poses",
 ]
@@ -44,7 +44,7 @@ HAND_HEIGHT = 0.045
 HAND_TILT = float(np.radians(20.0))
 """Angle of the approach direction below the horizontal while it pushes, rad."""
 
-TOLERANCE = 0.03
+TARGET_TOLERANCE = 0.03
 """Distance of the box's centre from its target up to which it is there, m."""
 
 OBJECT_BEHIND = 0.0116
@@ -129,7 +129,7 @@ def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArr
 class PushLiftBox(CommonRules):
     """The task of `smp_gym/PushLiftBox-v0`.
 
-    Success: the box's centre is within `TOLERANCE` of the target, the hand grips it, and nothing
+    Success: the box's centre is within `TARGET_TOLERANCE` of the target, the hand grips it, and nothing
     collided on the way. The hand may touch the box as it likes, and the box the table; the hand may
     not touch the table.
     """
@@ -156,9 +156,9 @@ class PushLiftBox(CommonRules):
         if len(scene.goals) != 1 or scene.goals[0].kind != "lift":
             kinds = [goal.kind for goal in scene.goals]
             raise ValueError(f"scene.goals must hold one goal of kind 'lift', got {kinds}")
-        if scene.goals[0].position[2] < half + TOLERANCE:
+        if scene.goals[0].position[2] < half + TARGET_TOLERANCE:
             raise ValueError(
-                f"the target must be at least {half + TOLERANCE} m above the table, so that the "
+                f"the target must be at least {half + TARGET_TOLERANCE} m above the table, so that the "
                 f"box must be lifted; got {scene.goals[0].position[2]}"
             )
 
@@ -177,7 +177,7 @@ class PushLiftBox(CommonRules):
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Return whether goals (..., 5) are reached, (...)."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
-        near: BoolArray = np.sqrt((offset * offset).sum(axis=-1)) <= TOLERANCE
+        near: BoolArray = np.sqrt((offset * offset).sum(axis=-1)) <= TARGET_TOLERANCE
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 

@@ -51,7 +51,7 @@ _FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
 
 _PROPOSALS = 48
 _TRIALS = 48
-_WIDE = 64
+_WIDE_MEMBERS = 64
 _ALONE = 8
 """Members of a leg: that obstacles are chosen by, fresh ones that the choice is tried on, and wider
 ones that may serve as witness; and members where there are no obstacles."""
@@ -353,7 +353,7 @@ def _draw_scene(difficulty: str, rng: np.random.Generator, *, witnessed: bool) -
     specification = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
     episode = _Episode(start, box, _push(_movement(), box), goal)
     crowd = specification.obstacles > 0
-    families = episode.families(*((_PROPOSALS, _WIDE) if crowd else (_ALONE, 0)), rng)
+    families = episode.families(*((_PROPOSALS, _WIDE_MEMBERS) if crowd else (_ALONE, 0)), rng)
     if not (families[0].free[0] and families[1].free[0]):
         return None
     none = np.empty((0, kernels.OBSTACLE_COLUMNS))
