@@ -135,7 +135,7 @@ class ObjectState:
 
 @dataclass(frozen=True)
 class DecodedObservation:
-    """What an observation says.
+    """The content of an observation: scene, states of robot and object, time, contact, control.
 
     Attributes:
         scene: obstacles, goals and object; its start is the *present* configuration.

@@ -187,7 +187,7 @@ def _known_kind(name: str) -> str:
 
 
 class Goal(_Frozen):
-    """Where the object shall end, or what the pen shall draw.
+    """A goal: the place of the object at the end, or the stroke that the pen shall draw.
 
     Attributes:
         kind: "bin", an open box in which the object must come to rest; "pad", a raised square on
@@ -276,7 +276,7 @@ class Scene(_Frozen):
 
 
 TABLE = Obstacle(shape="box", position=(0.0, 0.0, -0.3), size=(1.5, 1.5, 0.3))
-"""The table, its top at z = 0; so thick that from wherever the arm gets to, the way out is up."""
+"""The table, its top at z = 0; so thick that the top is its nearest side wherever the arm gets."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ _LARGEST = 2.0
 """m: half-extents and coordinates of centres that an observation can hold."""
 
 _NORM_TOLERANCE = 0.01
-"""How far the norm of an orientation may be from 1: files have it rounded to three digits."""
+"""Largest deviation of an orientation's norm from 1: files have it rounded to three digits."""
 
 _POINTS_PER_EDGE = 9
 """Points along each edge of a goal's body at which it is compared with obstacles."""

@@ -62,7 +62,7 @@ WARM_UP = 1000
 
 @dataclass(frozen=True)
 class Bounds:
-    """What came of random steps.
+    """Extremes that were reached under random actions.
 
     Attributes:
         collisions: episodes that collided.

@@ -1,4 +1,4 @@
-"""How tightly collision shapes and spheres of the JACO cover the vendor's meshes.
+"""Coverage of the vendor's meshes of the JACO by its collision shapes and spheres.
 
 The meshes are those of example-robot-data (`robots/kinova_description/meshes`), which the `meshes`
 extra installs together with what reads them.
@@ -27,7 +27,7 @@ _SURFACE_POINTS = 40_000
 
 @dataclass(frozen=True)
 class Coverage:
-    """How one link is covered; lengths in m.
+    """The coverage of one link; lengths in m.
 
     Attributes:
         outside: share of the mesh's surface that no shape contains.

@@ -183,7 +183,7 @@ class Jaco:
         """Command the motors towards the reference for the coming environment step."""
         states = pybullet.getJointStates(self._body, self._arm, physicsClientId=self._client)
         measured = np.array([state[0] for state in states])
-        # The velocity cap spreads the way over the whole step; without it the motors would jump.
+        # The velocity cap spreads the motion over the whole step; without it the motors would jump.
         velocity = np.abs(self._reference - measured) / CONTROL_PERIOD
         velocity = np.minimum(np.maximum(velocity, 1e-3), 1.05 * self._velocity_limit)
         for joint, target, cap, effort in zip(

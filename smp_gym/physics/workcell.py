@@ -153,7 +153,7 @@ class Workcell:
 
     @property
     def lines(self) -> tuple[Line, ...]:
-        """What is seen but has no body: goals without one, and the pen's trace over them."""
+        """Lines that show what has no body: goals without one, and the pen's trace over them."""
         shown = _bodiless_goals(self._scene)
         targets = (Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in shown)
         return (*targets, Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH))

@@ -23,11 +23,11 @@ __all__ = ["block", "block_around_witness"]
 _MAX_FAMILIES = 4
 _MAX_ROUNDS = 3
 _MAX_CHOICES = 12
-"""How many families are tried for a goal, how often candidates are added for a family, and how many
-choices are made from them each time."""
+"""Numbers of families tried for a goal, of rounds that add candidates for a family, and of choices
+made from them in each round."""
 
 _PARENTS = 24
-"""How many of the candidates have children, others that resemble them."""
+"""Number of the candidates that have children, others that resemble them."""
 
 _GLANCE = 8
 """Every so-many-th sample of another witness is looked at first."""

@@ -1,4 +1,4 @@
-"""The choice of obstacles that together block most and leave somebody clear."""
+"""The choice of obstacles that together block most and leave a member clear."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from smp_gym.scene import SHAPES
 __all__ = ["REPEATED", "apart", "choose", "widths"]
 
 _OVERLAP = 0.8
-"""How near the axes of obstacles may come, as a share of the sum of their widths."""
+"""Least distance between the axes of obstacles, as a share of the sum of their widths."""
 
 _PAIRED = 128
-"""How many of the most blocking candidates are compared in pairs."""
+"""Number of the most blocking candidates that are compared in pairs."""
 
 REPEATED = 0.1
-"""What blocking a proposal counts for each obstacle that blocks it already."""
+"""Value of blocking a proposal again, for each obstacle that blocks it already."""
 
 _SWEEPS = 2
-"""How often each of the chosen is put to the test against all others in its place."""
+"""Times that each of the chosen is compared with all others in its place."""
 
 
 def widths(rows: FloatArray) -> FloatArray:
@@ -52,7 +52,7 @@ def choose(
     already: NDArray[np.int64],
     specification: DifficultySpecification,
 ) -> list[int] | None:
-    """Choose obstacles that block most and leave somebody clear.
+    """Choose obstacles that block most and leave a member clear.
 
     The first two are the best of all pairs of the most blocking candidates, each further one adds
     most, and of more than two each is exchanged while another in its place adds more. A proposal

@@ -43,7 +43,7 @@ how many wide detours are drawn."""
 
 _PIECES = 40
 _MEMBERS = 20
-"""How many pieces are tried with a family, how many of its members as the witness of each."""
+"""Numbers of pieces tried with a family, and of its members tried as the witness of each."""
 
 _POINTS_PER_AXIS = (9, 9, 7)
 """Points on a goal's body along x, y and z that furniture is kept away from."""

@@ -63,7 +63,7 @@ axis), its size and height; number and size of the objects on it."""
 
 @dataclass(frozen=True)
 class Place:
-    """What a piece of furniture is built for.
+    """The surroundings that a piece of furniture is fitted to.
 
     Attributes:
         goal: the surface on which the object shall end.
@@ -209,8 +209,8 @@ assert tuple(_BUILDERS) == FURNITURE
 def draw_furniture(kind: str, place: Place, rng: np.random.Generator) -> tuple[Obstacle, ...]:
     """Return a piece of furniture of random size, at a random turn, near its place.
 
-    Nothing is known here of the robot: what stands in its way or in that of the goal's own body is
-    for others to find out.
+    Nothing is known here of the robot: collisions of the piece with it or with the goal's own body
+    are for the caller to find.
 
     Args:
         kind: one of `FURNITURE`.

@@ -32,7 +32,7 @@ _SMALL = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Which paths pass which points.
+    """Occupancy of the grid's points by the spheres of each path.
 
     Attributes:
         words: (2, X, Y, Z, ceil(N / 64)), a bit for each path, of its small and its large spheres.

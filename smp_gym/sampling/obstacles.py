@@ -40,7 +40,7 @@ SHAPE_SHARES = (0.5, 0.3, 0.2)
 """Obstacles: range of half-extents (m), share that stands on the table, shares of `SHAPES`."""
 
 _CANDIDATES = 300
-"""How many obstacles are drawn to choose from."""
+"""Number of obstacles drawn to choose from."""
 
 _SHIFT = 0.02
 _CHILDREN = 150

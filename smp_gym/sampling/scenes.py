@@ -20,7 +20,7 @@ __all__ = [
 
 _MAX_DRAWS = 200
 _MAX_FURNISHED_DRAWS = 400
-"""How many goals, with obstacles and with furniture, are drawn in all."""
+"""Largest numbers of goals drawn in all, with obstacles and with furniture."""
 
 
 def sample_with_witness(

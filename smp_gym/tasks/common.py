@@ -1,4 +1,4 @@
-"""What all tasks share: the rules that few change, checks of scenes, scale of the dense reward."""
+"""Rules common to all tasks: defaults that few change, checks of scenes, scale of dense rewards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a task is made of: the definition that the registry holds, and the rules behind it."""
+"""Task definitions: the entry of a task in the registry, and the protocol of its rules."""
 
 from __future__ import annotations
 

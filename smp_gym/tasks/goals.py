@@ -38,7 +38,7 @@ def flag(name: str, count: int = 1) -> Field:
 
 @dataclass(frozen=True)
 class GoalCodec:
-    """How the goals of a task's scenes become the desired goal, and back.
+    """The codec between the goals of a task's scenes and the desired goal.
 
     Attributes:
         layout: fields of achieved and desired goal; ``collided`` must be one of them.

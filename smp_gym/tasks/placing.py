@@ -1,4 +1,4 @@
-"""What tasks share that set an object down: checks of scenes, contacts, flags of the goals."""
+"""Rules common to tasks that set an object down: checks of scenes, contacts, flags of the goals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLACING_FLAGS: tuple[Field, ...] = (flag("collided"), flag("released"), flag("at
 """Flags of the goals of tasks that set an object down, the last fields of their goal vectors."""
 
 SET_DOWN = {"collided": 0.0, "released": 1.0, "at_rest": 1.0}
-"""What such a task demands of them."""
+"""Values of these flags in the desired goal."""
 
 _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
 
@@ -37,7 +37,7 @@ class PlacingTask(CommonRules, ABC):
 
     The held object may touch nothing but the hand. Once let go and come to rest it has been placed,
     which ends the episode: where it should be with success, anywhere else with the penalty of a
-    collision. Without the penalty dropping would be a way out; without the end an agent that learns
+    collision. Without the penalty dropping would be an escape; without the end an agent that learns
     from hindsight finds that letting go at once always reaches some goal, and hardly ever that it
     misses the desired one.
     """
@@ -46,7 +46,7 @@ class PlacingTask(CommonRules, ABC):
     """Group of the bodies on which the object may rest, which is also the kind of the goals."""
 
     goal_count: ClassVar[int]
-    """How many goals a scene has."""
+    """Number of goals of a scene."""
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""

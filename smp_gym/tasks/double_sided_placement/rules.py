@@ -41,7 +41,7 @@ START_CONFIGURATION = (-1.5293, 3.192, 0.8179, 0.0969, 2.7375, -0.0728)
 sides."""
 
 NOMINAL_PADS = ((0.42, 0.44, 0.085), (0.42, -0.44, 0.085))
-"""Where the demonstrations find the pads: centre of their surfaces, m (`Goal.position`)."""
+"""Places of the pads in the demonstrations: centre of their surfaces, m (`Goal.position`)."""
 
 PAD_SHIFT = 0.15
 """Radius of the discs around `NOMINAL_PADS` in which an episode's pads stand, m."""
@@ -95,7 +95,7 @@ class DoubleSidedPlacement(PlacingTask):
     """The task of `smp_gym/DoubleSidedPlacement-v0`.
 
     Success: the object's centre is over one of the pads, as high as if it lay there, the hand is
-    off it, it has come to rest, and nothing collided on the way.
+    off it, it has come to rest, and nothing has collided in the episode.
     """
 
     name: str = "DoubleSidedPlacement"

@@ -76,7 +76,7 @@ _SLACK = 0.005
 
 _MAX_BUMPS = 16
 _MAX_WITNESSES = 12
-"""How often a bump is drawn, and how many witnesses for a stroke."""
+"""Most attempts at a bump, and at a witness for a stroke."""
 
 
 def _draw_rows(
@@ -220,7 +220,9 @@ def _draw_bumpy(
 def _grid(body: MovingBody, stroke: Stroke, bumps: int, rng: np.random.Generator) -> Grid:
     """Return the grid of trajectories along a stroke, the first without bumps."""
     aside = lead_aside(stroke, sample_centers(_COMPARED_TRAJECTORIES - 1, bumps, rng), rng)
-    trajectories = np.repeat(resample(stroke.trajectory[None], _COMPARED_SAMPLES), _COMPARED_TRAJECTORIES, axis=0)
+    trajectories = np.repeat(
+        resample(stroke.trajectory[None], _COMPARED_SAMPLES), _COMPARED_TRAJECTORIES, axis=0
+    )
     trajectories[1:] += aside.along(np.linspace(0.0, 1.0, _COMPARED_SAMPLES))
     return rasterise(body.paths(trajectories, body.swept), body.spheres.radius[body.swept])
 

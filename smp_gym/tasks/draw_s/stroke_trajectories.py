@@ -41,7 +41,7 @@ SCALE = (0.85, 1.15)
 """Size of the S, the demonstrated being 1."""
 
 YAW = 0.3
-"""Rad, largest turn of the S about the vertical through its end, either way."""
+"""Rad, largest turn of the S about the vertical through its end, in either direction."""
 
 START_SHIFT = 0.02
 """Metres, how far from the beginning of the stroke the pen may start, at most."""

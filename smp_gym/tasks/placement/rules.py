@@ -36,7 +36,7 @@ START_CONFIGURATION = (-0.78, 3.53, 0.9813, 0.0568, 2.6632, -0.0361)
 """Joint angles at the start, rad: the object at (0.42, -0.40, 0.26) m, the hand 29 degrees down."""
 
 NOMINAL_BIN = (0.52, 0.32, 0.01)
-"""Where the demonstrations find the bin: centre of its floor's top, m (`Goal.position`)."""
+"""Place of the bin in the demonstrations: centre of its floor's top, m (`Goal.position`)."""
 
 BIN_LOWER = (0.44, 0.22, 0.01)
 BIN_UPPER = (0.60, 0.42, 0.01)
@@ -79,7 +79,7 @@ class Placement(PlacingTask):
     """The task of `smp_gym/Placement-v0`.
 
     Success: the object's centre is within the bin's inner walls and below the rim, the hand is off
-    it, it has come to rest, and nothing collided on the way.
+    it, it has come to rest, and nothing has collided in the episode.
     """
 
     name: str = "Placement"

@@ -27,8 +27,8 @@ _CANDIDATES = 500
 _COMPARED = 240
 _PAIRED = 100
 SPARE = 5
-"""How many candidates are drawn, how many of the most blocking are compared, how many in pairs; and
-how many members have to be clear of all chosen: the grid is coarse, not all of them will be."""
+"""Numbers: of candidates drawn, of the most blocking that are compared, of those compared in pairs;
+and of members that have to be clear of all chosen: the grid is coarse, not all of them will be."""
 
 
 def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> FloatArray:

@@ -48,14 +48,14 @@ TARGET_TOLERANCE = 0.03
 """Distance of the box's centre from its target up to which it is there, m."""
 
 OBJECT_BEHIND = 0.0116
-"""How far the box's centre is behind the end effector while the palm pushes it, horizontally, m."""
+"""Horizontal distance of the box's centre behind the end effector while the palm pushes it, m."""
 
 
 PUSH_FROM = 0.075
-"""How far behind the box's centre the end effector is when the push begins, horizontally, m."""
+"""Horizontal distance of the end effector behind the box's centre when the push begins, m."""
 
 PUSH_LENGTH = 0.06
-"""How far the box is pushed, m."""
+"""Length of the push, m."""
 
 START_CONFIGURATION = (-0.522, 3.426, 0.568, 0.056, 2.204, -0.017)
 START_SPREAD = (0.25, 0.12, 0.15, 0.1, 0.15, 0.1)
@@ -64,13 +64,13 @@ START_SPREAD = (0.25, 0.12, 0.15, 0.1, 0.15, 0.1)
 BOX_RADIUS = (0.47, 0.55)
 BOX_BEARING = (-0.5, 0.0)
 BOX_TURN = 0.15
-"""Where the box stands: distance from the base's axis (m), bearing as seen from there (rad), and
-largest turn of the box away from that bearing (rad)."""
+"""Region in which the box stands: distance from the base's axis (m), bearing as seen from there
+(rad), and largest turn of the box away from that bearing (rad)."""
 
 TARGET_RADIUS = (0.42, 0.52)
 TARGET_BEARING = (0.35, 0.75)
 TARGET_HEIGHT = (0.26, 0.38)
-"""Where the target is: distance from the base's axis (m), bearing (rad), height (m)."""
+"""Region of the target: distance from the base's axis (m), bearing (rad), height (m)."""
 
 HELD_OBJECT_POSE = np.eye(4)
 """(4, 4) nominal pose of the box in the end-effector frame, once the fingers have closed on it: the
@@ -129,9 +129,9 @@ def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArr
 class PushLiftBox(CommonRules):
     """The task of `smp_gym/PushLiftBox-v0`.
 
-    Success: the box's centre is within `TARGET_TOLERANCE` of the target, the hand grips it, and nothing
-    collided on the way. The hand may touch the box as it likes, and the box the table; the hand may
-    not touch the table.
+    Success: the box's centre is within `TARGET_TOLERANCE` of the target, the hand grips it, and
+    nothing has collided in the episode. The hand may touch the box as it likes, and the box the
+    table; the hand may not touch the table.
     """
 
     name: str = "PushLiftBox"
@@ -158,8 +158,8 @@ class PushLiftBox(CommonRules):
             raise ValueError(f"scene.goals must hold one goal of kind 'lift', got {kinds}")
         if scene.goals[0].position[2] < half + TARGET_TOLERANCE:
             raise ValueError(
-                f"the target must be at least {half + TARGET_TOLERANCE} m above the table, so that the "
-                f"box must be lifted; got {scene.goals[0].position[2]}"
+                f"the target must be at least {half + TARGET_TOLERANCE} m above the table, so that "
+                f"the box must be lifted; got {scene.goals[0].position[2]}"
             )
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
