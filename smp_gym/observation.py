@@ -356,7 +356,7 @@ def _abnormal(key: str, expectation: str) -> ValueError:
 
 
 def _check_raw(vectors: Mapping[str, Array], state: Mapping[str, Array]) -> None:
-    """Raise ValueError if state or obstacles cannot be what was encoded.
+    """Raise ValueError if state or obstacles are no encoding of any.
 
     Normalised values often stay inside the bounds, but not what must be a unit quaternion, a whole
     number or a flag.
@@ -383,7 +383,7 @@ def _check_raw(vectors: Mapping[str, Array], state: Mapping[str, Array]) -> None
 
 
 def decode(observation: Any, task: str) -> DecodedObservation:
-    """Return what one observation says.
+    """Decode one observation into scene, states and control mode.
 
     Args:
         observation: one observation, raw (dict) or flattened (vector); not a batch.

@@ -60,7 +60,7 @@ class _Pose:
     position: FloatArray
 
     def then(self, inner: _Pose) -> _Pose:
-        """Return the pose, in this one's base frame, of what has pose `inner` in its own."""
+        """Return the composition of this pose with `inner`, which is given in its frame."""
         position = self.position + self.rotation.apply(inner.position)
         return _Pose(self.rotation * inner.rotation, position)
 
@@ -299,7 +299,7 @@ def _read(file: Path, base: _Pose, skip_unsupported: bool) -> list[tuple[str, Ob
 
 
 def _points_of(body: Obstacle) -> FloatArray:
-    """Return points all over an upright box, (N, 3) m."""
+    """Return points on a grid over an upright box, (N, 3) m."""
     steps = np.linspace(-1.0, 1.0, _POINTS_PER_EDGE)
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.array(body.position) + grid * np.array(body.size)

@@ -52,7 +52,7 @@ def mesh_points(directory: Path, names: Sequence[str]) -> FloatArray:
 
 
 def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) -> Coverage:
-    """Return how shapes, and spheres (S, 4), cover the points (N, 3) of a link's surface."""
+    """Return the coverage of a link's surface points (N, 3) by shapes and by spheres (S, 4)."""
     depth = np.min([shape.signed_distance(points) for shape in shapes], axis=0)
     tree = cKDTree(points)
     rng = np.random.default_rng(0)
@@ -79,7 +79,7 @@ def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) ->
 
 
 def coverage_table(meshes: Path) -> Table:
-    """Return how each link's shapes and spheres cover the vendor's meshes.
+    """Return the coverage of the vendor's meshes by each link's shapes and spheres.
 
     Args:
         meshes: folder of the vendor's meshes.

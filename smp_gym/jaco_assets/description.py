@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 PREFIX = "j2s6s200_"
-"""Of the vendor's names of links and joints."""
+"""Prefix of the vendor's names of links and joints."""
 
 _AXIS_RPY = {"x": (0.0, np.pi / 2, 0.0), "y": (-np.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}
 

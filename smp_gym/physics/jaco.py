@@ -214,7 +214,7 @@ class Jaco:
             )
 
     def carried(self, pose: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
-        """Return where something fixed to the hand is.
+        """Return the pose of a frame fixed to the hand.
 
         Args:
             pose: (4, 4) its pose in the end-effector frame.
@@ -230,7 +230,7 @@ class Jaco:
     def motion(
         self, point: NDArray[np.floating[Any]]
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return where a point fixed to the hand is and how it moves.
+        """Return position and velocity of a point fixed to the hand.
 
         Args:
             point: (3,) m, in the end-effector frame.

@@ -310,7 +310,7 @@ class Workcell:
 
 
 def _bodiless_goals(scene: Scene) -> list[FloatArray]:
-    """Return lines (M, 3) m that show strokes, and edges of objects or tips where they shall be."""
+    """Return lines (M, 3) m that show strokes, and the goal poses of objects or tips."""
     size = scene.manipulated.size if scene.manipulated else (PEN_RADIUS,) * 3
     return [
         np.array(goal.checkpoints) if goal.checkpoints else wire_box(goal.position, size)
@@ -320,7 +320,7 @@ def _bodiless_goals(scene: Scene) -> list[FloatArray]:
 
 
 def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:
-    """Return what of a scene its snapshot depends on.
+    """Return the part of a scene that its snapshot depends on.
 
     A pen, being fixed to the hand, is held alike wherever the episode begins; an object on the
     table is set down later.

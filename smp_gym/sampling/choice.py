@@ -37,7 +37,7 @@ def widths(rows: FloatArray) -> FloatArray:
 
 
 def apart(rows: FloatArray, others: FloatArray) -> BoolArray:
-    """Return (A, B), which obstacles stand beside or over which others."""
+    """Return a mask (A, B) of pairs of obstacles that stand beside or over one another."""
     reach = _OVERLAP * (widths(rows)[:, None] + widths(others))
     distance = np.hypot(rows[:, None, 1] - others[:, 1], rows[:, None, 2] - others[:, 2])
     height = np.abs(rows[:, None, 3] - others[:, 3])
@@ -141,7 +141,7 @@ def _best_at(
     already: NDArray[np.int64],
     on_table: bool,
 ) -> int:
-    """Return what is best in a slot beside the other chosen, -1 if nothing fits there."""
+    """Return the best candidate for a slot beside the other chosen, -1 if none fits there."""
     times = already.copy()
     alive = np.full(clears.shape[1], ~np.uint64(0))
     mean = already[0] > 0

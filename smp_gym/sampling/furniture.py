@@ -23,7 +23,7 @@ _PANEL = 0.01
 """Half thickness of panels and boards."""
 
 _TURN = 0.25
-"""Largest turn of a piece out of the direction in which the robot sees it, rad."""
+"""Largest turn of a piece about the vertical, from facing the robot, rad."""
 
 _SHELF_FRONT = (-0.22, -0.08)
 _SHELF_HALF_WIDTH = (0.11, 0.17)
@@ -57,8 +57,8 @@ _TABLE_TOP = (0.10, 0.20)
 _OBJECTS = 5
 _OBJECT_HALF_WIDTH = (0.02, 0.05)
 _OBJECT_HALF_HEIGHT = (0.08, 0.20)
-"""Of a table: where it stands (share of the turn from start to goal, distance from the base's
-axis), its size and height; number and size of the objects on it."""
+"""Of a table: its place (share of the turn from start to goal, distance from the base's axis), size
+and height; number and size of the objects on it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The grid on which obstacles are compared: which paths' spheres pass which of its points.
+"""The grid on which obstacles are compared: occupancy of its points by the spheres of paths.
 
 Every centre of a sphere sets a bit at the point nearest to it; a query then visits the points
 around an obstacle, farther for larger spheres. That takes one step for each sphere of a path, where
@@ -53,7 +53,7 @@ def rasterise(paths: FloatArray, radius: FloatArray) -> Grid:
 
 
 def near(grid: Grid, rows: FloatArray, distance: float, members: int) -> BoolArray:
-    """Return (C, members), which paths of a grid come within a distance (m) of which obstacles."""
+    """Return a mask (C, members) of paths of a grid within a distance (m) of obstacles."""
     reach = np.where(grid.radius < 0.0, -np.inf, grid.radius + distance)
     return _collect(grid.words, reach, rows, _FIRST_POINT, _SPACING, members)
 

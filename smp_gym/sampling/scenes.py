@@ -149,7 +149,7 @@ def sample_furniture(task: str, kind: str, seed: int, version: int | None = None
 
 
 def sample_of_family(task: str, family: str, difficulty: str, seed: int) -> Scene:
-    """Return what an environment of this task, family and difficulty plays with this seed.
+    """Return the scene that an environment of this task, family and difficulty plays.
 
     Args:
         task: name of the task.

@@ -17,8 +17,8 @@ from smp_gym.tasks.status import Status
 __all__ = ["POTENTIAL_PER_METRE", "CommonRules"]
 
 POTENTIAL_PER_METRE = 20.0
-"""By how much the dense reward's potential rises towards the goal. The end of an episode, by
-failure too, forgives the distance left: 2 m of it must count for much less than a failure."""
+"""Rise of the dense reward's potential towards the goal. The end of an episode, by failure too,
+forgives the distance left: 2 m of it must count for much less than a failure."""
 
 
 FloatArray = NDArray[np.floating[Any]]
@@ -52,7 +52,7 @@ class CommonRules:
         return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
 
     def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: goals tell no more than success."""
+        """Return nothing: goals hold no more than success."""
         return {}
 
     def _flag(self, name: str) -> int:

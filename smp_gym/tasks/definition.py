@@ -105,7 +105,7 @@ class Task(Protocol):
         ...
 
     def failure(self, status: Status) -> str:
-        """Return why the episode can no longer succeed, or an empty string."""
+        """Return the cause for which the episode can no longer succeed, or an empty string."""
         ...
 
     def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
@@ -130,5 +130,5 @@ class Task(Protocol):
         ...
 
     def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return what goals (G,) tell beyond success; it goes into the step's info."""
+        """Return further results that goals (G,) hold, for the step's info."""
         ...

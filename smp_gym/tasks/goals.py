@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Field:
-    """One named stretch of a vector, with the bounds of its entries."""
+    """A named range of a vector's entries, with the bounds of its entries."""
 
     name: str
     size: int
@@ -55,7 +55,7 @@ class GoalCodec:
     with_object: bool = True
 
     def columns(self, name: str) -> slice:
-        """Return where a field stands in the goal vectors.
+        """Return the columns of a field in the goal vectors.
 
         Raises:
             KeyError: no such field.
@@ -69,7 +69,7 @@ class GoalCodec:
 
 
 def resting_place(scene: Scene, index: int) -> tuple[float, float, float]:
-    """Return where the object's centre shall rest to reach goal `index`, m.
+    """Return the resting place of the object's centre at goal `index`, m.
 
     Raises:
         ValueError: the scene has no object.

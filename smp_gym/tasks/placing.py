@@ -80,7 +80,7 @@ class PlacingTask(CommonRules, ABC):
         """Return whether goals (..., G) are reached, (...)."""
 
     def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return whether goals (..., G) tell of an object let go and at rest elsewhere, (...)."""
+        """Return a mask (...) of goals (..., G) with the object let go and at rest elsewhere."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         placed = (achieved[..., released] > 0.5) & (achieved[..., at_rest] > 0.5)
         if not placed.any():

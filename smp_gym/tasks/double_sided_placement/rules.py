@@ -130,7 +130,7 @@ class DoubleSidedPlacement(PlacingTask):
         return {**dict.fromkeys(_FIELDS, status.object_position), **self._flags(status)}
 
     def reached(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return on which of the `SIDES` goals are reached.
+        """Return a mask over `SIDES` of reached goals.
 
         Args:
             achieved: (..., 9) achieved goals.
@@ -160,7 +160,7 @@ class DoubleSidedPlacement(PlacingTask):
         return -POTENTIAL_PER_METRE * np.minimum(*distances)
 
     def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return ``side``: where the object was placed, "left" or "right", or "" if it was not."""
+        """Return ``side``: "left" or "right", the pad of the object, or "" if it is on neither."""
         reached = self.reached(achieved, desired)
         return {"side": SIDES[int(reached.argmax())] if reached.any() else ""}
 

@@ -85,7 +85,7 @@ def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
 def _specifications(
     difficulty: str,
 ) -> tuple[DifficultySpecification, DifficultySpecification | None]:
-    """Return what a difficulty means for the one and the other side; None if that is closed off."""
+    """Return a difficulty's settings for the one and the other side; None if that is closed off."""
     one = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
     return one, None if difficulty in _CLOSED else one
 

@@ -32,10 +32,10 @@ __all__ = [
 FloatArray = NDArray[np.floating[Any]]
 
 CHECKPOINT_TOLERANCE = 0.04
-"""Metres: how near to a checkpoint the pen must come to have passed it."""
+"""Metres: distance of the pen from a checkpoint up to which it passes it."""
 
 END_TOLERANCE = 0.025
-"""Metres: how near to the end of the stroke the pen must be when the S is done."""
+"""Metres: distance of the pen from the end of the stroke up to which the S is done."""
 
 COVERED_DISTANCE = 0.06
 """Metres: a checkpoint nearer than this to an obstacle's surface, or inside it, is covered: the pen
@@ -46,7 +46,7 @@ _SUBDIVISION = 3
 
 
 def _encode(scene: Scene) -> dict[str, Any]:
-    """Return the desired goal: the stroke, and which of its checkpoints the pen must pass."""
+    """Return the desired goal: the stroke, and flags of the checkpoints that the pen must pass."""
     stroke = scene.goals[0]
     demanded = [float(flag) for flag in stroke.demanded]
     return {"stroke": np.ravel(stroke.checkpoints), "demanded": demanded, "collided": 0.0}
@@ -75,7 +75,7 @@ _DEMANDED = _GOALS.columns("demanded")
 
 
 def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
-    """Return `count` points at equal steps of the arc of a line.
+    """Return `count` points of a line at equal steps of arc length.
 
     Args:
         line: (M, 3) m, at least one point; where it has no length, its last point is repeated.
@@ -88,14 +88,14 @@ def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float6
 
 
 def covered(points: FloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
-    """Return which points (N, 3) lie nearer than `COVERED_DISTANCE` to one of the obstacles."""
+    """Return a mask (N,) of points nearer than `COVERED_DISTANCE` to an obstacle."""
     return np.asarray(signed_distance(points, obstacles) < COVERED_DISTANCE)
 
 
 def passed_in_order(
     trace: FloatArray, checkpoints: FloatArray, demanded: FloatArray
 ) -> NDArray[np.int64]:
-    """Return how far along a stroke a trace has come.
+    """Return the progress of a trace along a stroke.
 
     The trace is taken as the line through its points. A checkpoint counts as passed where the line
     comes within `CHECKPOINT_TOLERANCE` of it, not before the place where the previous demanded one

@@ -140,7 +140,7 @@ def _draw_beside(
 
 
 def _missed(stroke: Stroke, trajectory: FloatArray) -> BoolArray:
-    """Return which checkpoints (32,) the pen misses on a trajectory (T, 6) rad."""
+    """Return a mask (32,) of checkpoints that the pen misses on a trajectory (T, 6) rad."""
     points = np.zeros((len(stroke.checkpoints), kernels.OBSTACLE_COLUMNS))
     points[:, 0] = SHAPES.index("sphere")
     points[:, 1:4] = stroke.checkpoints
@@ -149,7 +149,7 @@ def _missed(stroke: Stroke, trajectory: FloatArray) -> BoolArray:
 
 
 def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
-    """Return (M, 32), which checkpoints each obstacle covers."""
+    """Return a mask (M, 32) of the checkpoints that obstacles cover."""
     distance = kernels.point_distances(stroke.checkpoints, rows)
     return np.asarray(distance < draw_s.COVERED_DISTANCE)
 
@@ -157,7 +157,7 @@ def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
 def _keeps_clear(
     body: MovingBody, trajectory: FloatArray, rows: FloatArray, enough: float
 ) -> BoolArray:
-    """Return from which obstacles (M,) every other sample of a trajectory keeps a distance."""
+    """Return a mask (M,) of obstacles that every other sample of a trajectory clears."""
     kept = np.ones(len(rows), np.bool_)
     # A glance at few samples spares the close look at most.
     for stride in (20, 2):

@@ -115,7 +115,7 @@ class _Movement:
 
 
 def _outline(spheres: kinematics.SphereSet, which: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return some of the given spheres: the greatest, with room between those of the same link."""
+    """Return a subset of the given spheres: the greatest, with room between those of a link."""
     kept: list[int] = []
     for index in which[np.argsort(-spheres.radius[which], kind="stable")]:
         others = [k for k in kept if spheres.link[k] == spheres.link[index]]
