@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.scene import Scene
 from smp_gym.tasks.goals import GoalCodec
@@ -21,9 +20,6 @@ POTENTIAL_PER_METRE = 20.0
 forgives the distance left: 2 m of it must count for much less than a failure."""
 
 
-FloatArray = NDArray[np.floating[Any]]
-
-
 @dataclass(frozen=True)
 class CommonRules:
     """The rules of a task as far as most tasks share them; see `smp_gym.tasks.Task`."""
@@ -31,7 +27,7 @@ class CommonRules:
     name: str
 
     goals: ClassVar[GoalCodec]
-    object_in_hand: ClassVar[FloatArray]
+    object_in_hand: ClassVar[AnyFloatArray]
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if the scene is another task's, something moves or is out of reach."""
@@ -43,15 +39,15 @@ class CommonRules:
         """Return nothing: as long as there is time, the episode can succeed."""
         return ""
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
+    def collided(self, achieved: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of a collision, (...)."""
         return np.asarray(achieved[..., self._flag("collided")] > 0.5)
 
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return False for all goals (..., G): no episode is over without success."""
         return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+    def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
         """Return nothing: goals hold no more than success."""
         return {}
 

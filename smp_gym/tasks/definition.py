@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 
 if TYPE_CHECKING:
     from smp_gym.datasets.demonstrations import Demonstrations
@@ -21,8 +18,6 @@ if TYPE_CHECKING:
     from smp_gym.tasks.status import Status
 
 __all__ = ["Task", "TaskDefinition"]
-
-FloatArray = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -81,7 +76,7 @@ class Task(Protocol):
         ...
 
     @property
-    def object_in_hand(self) -> FloatArray:
+    def object_in_hand(self) -> AnyFloatArray:
         """(4, 4) pose of object or pen's tip in the end-effector frame once the hand holds it."""
         ...
 
@@ -108,15 +103,15 @@ class Task(Protocol):
         """Return the cause for which the episode can no longer succeed, or an empty string."""
         ...
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) are reached, (...)."""
         ...
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
+    def collided(self, achieved: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of a collision, (...)."""
         ...
 
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of an episode that is over without success, (...).
 
         It may depend on the desired goal for the verdict only, not for the moment: an episode that
@@ -125,10 +120,10 @@ class Task(Protocol):
         """
         ...
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return the potential (...) whose differences make up the dense reward."""
         ...
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+    def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
         """Return further results that goals (G,) hold, for the step's info."""
         ...

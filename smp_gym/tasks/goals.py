@@ -6,14 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import Goal, Scene
 
 __all__ = ["Field", "GoalCodec", "flag", "position", "resting_place"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,7 @@ class GoalCodec:
 
     layout: tuple[Field, ...]
     encode: Callable[[Scene], dict[str, Any]]
-    decode: Callable[[Mapping[str, Array], Array], tuple[Goal, ...]]
+    decode: Callable[[Mapping[str, FloatArray], FloatArray], tuple[Goal, ...]]
     with_object: bool = True
 
     def columns(self, name: str) -> slice:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.scene import Scene
 from smp_gym.tasks.common import CommonRules
 from smp_gym.tasks.goals import Field, flag
 from smp_gym.tasks.status import Status
 
 __all__ = ["GRASP_FINGER_ANGLES", "PLACING_FLAGS", "SET_DOWN", "PlacingTask"]
-
-FloatArray = NDArray[np.floating[Any]]
 
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
@@ -76,10 +73,10 @@ class PlacingTask(CommonRules, ABC):
         return "dropped" if not status.held and "table" in status.object_contacts else ""
 
     @abstractmethod
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) are reached, (...)."""
 
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return a mask (...) of goals (..., G) with the object let go and at rest elsewhere."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         placed = (achieved[..., released] > 0.5) & (achieved[..., at_rest] > 0.5)
@@ -95,7 +92,7 @@ class PlacingTask(CommonRules, ABC):
             "at_rest": float(status.at_rest),
         }
 
-    def _let_go(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def _let_go(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether the demanded flags are up and nothing collided, (...)."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         up = achieved[..., released] >= desired[..., released]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.robot.kinematics import GRASP_CENTER
 from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Goal, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE
@@ -30,8 +30,6 @@ __all__ = [
     "TILT",
     "DoubleSidedPlacement",
 ]
-
-FloatArray = NDArray[np.floating[Any]]
 
 SIDES = ("left", "right")
 """Left is where y is positive; goals stand in this order."""
@@ -77,7 +75,7 @@ def _encode(scene: Scene) -> dict[str, Any]:
     return {**places, **SET_DOWN}
 
 
-def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: AnyFloatArray) -> tuple[Goal, ...]:
     places = (desired[name].tolist() for name in _FIELDS)
     return tuple(Goal(kind="pad", position=(x, y, z - float(size[2]))) for x, y, z in places)
 
@@ -103,7 +101,7 @@ class DoubleSidedPlacement(PlacingTask):
     support: ClassVar[str] = "pad"
     goal_count: ClassVar[int] = 2
     goals: ClassVar[GoalCodec] = _GOALS
-    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
+    object_in_hand: ClassVar[AnyFloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -129,7 +127,7 @@ class DoubleSidedPlacement(PlacingTask):
         """
         return {**dict.fromkeys(_FIELDS, status.object_position), **self._flags(status)}
 
-    def reached(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def reached(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return a mask over `SIDES` of reached goals.
 
         Args:
@@ -148,18 +146,18 @@ class DoubleSidedPlacement(PlacingTask):
         # Most of an episode is far from its goals.
         return there & self._let_go(achieved, desired)[..., None] if there.any() else there
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., 9) are reached on either side, (...)."""
         return np.asarray(self.reached(achieved, desired).any(axis=-1))
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the object's distance from the nearer of its places, 20 per metre."""
         distances = [
             np.linalg.norm(achieved[..., at] - desired[..., at], axis=-1) for at in _POSITIONS
         ]
         return -POTENTIAL_PER_METRE * np.minimum(*distances)
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
+    def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
         """Return ``side``: "left" or "right", the pad of the object, or "" if it is on neither."""
         reached = self.reached(achieved, desired)
         return {"side": SIDES[int(reached.argmax())] if reached.any() else ""}

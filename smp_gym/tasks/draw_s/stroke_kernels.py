@@ -11,15 +11,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 
 __all__ = ["equal_arc", "passed_in_order"]
 
-Array = NDArray[np.float64]
-
 
 @kernel
-def equal_arc(line: Array, count: int) -> Array:
+def equal_arc(line: FloatArray, count: int) -> FloatArray:
     """Return `count` points of a line at equal steps of arc length.
 
     Args:
@@ -55,7 +54,11 @@ def equal_arc(line: Array, count: int) -> Array:
 
 @kernel
 def passed_in_order(
-    traces: Array, checkpoints: Array, demanded: Array, tolerance: float, subdivision: int
+    traces: FloatArray,
+    checkpoints: FloatArray,
+    demanded: FloatArray,
+    tolerance: float,
+    subdivision: int,
 ) -> NDArray[np.int64]:
     """Return the progress of traces along their strokes.
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.scene import Goal, ManipulatedObject, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.goals import GoalCodec, flag, position
@@ -35,8 +35,6 @@ __all__ = [
     "PushLiftBox",
     "push_poses",
 ]
-
-FloatArray = NDArray[np.floating[Any]]
 
 HAND_HEIGHT = 0.045
 """Height of the end effector above the table while it pushes, m."""
@@ -93,7 +91,7 @@ def _encode(scene: Scene) -> dict[str, Any]:
     return {"object_position": scene.goals[0].position, "collided": 0.0, "held": 1.0}
 
 
-def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: AnyFloatArray) -> tuple[Goal, ...]:
     x, y, z = desired["object_position"].tolist()
     return (Goal(kind="lift", position=(x, y, z)),)
 
@@ -106,7 +104,7 @@ _HELD = _GOALS.columns("held").start
 _CONTACTS = frozenset({("hand", "hand"), ("hand", "object"), ("object", "table")})
 
 
-def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArray:
+def push_poses(position: AnyFloatArray, yaw: float, shares: AnyFloatArray) -> AnyFloatArray:
     """Return the end-effector poses (N, 4, 4) of a straight push along the box's own x axis.
 
     Args:
@@ -137,7 +135,7 @@ class PushLiftBox(CommonRules):
     name: str = "PushLiftBox"
 
     goals: ClassVar[GoalCodec] = _GOALS
-    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
+    object_in_hand: ClassVar[AnyFloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -174,14 +172,14 @@ class PushLiftBox(CommonRules):
             "held": float(status.held),
         }
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., 5) are reached, (...)."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         near: BoolArray = np.sqrt((offset * offset).sum(axis=-1)) <= TARGET_TOLERANCE
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the box's distance from its target, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return np.asarray(-POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1))
