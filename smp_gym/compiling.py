@@ -141,7 +141,7 @@ def _name(function: Callable[..., Any], key: str) -> str:
 
 
 class _Folder:
-    """Where the kernels of one package are kept, under a digest of their sources.
+    """The cache folder of one package's kernels, named by a digest of their sources.
 
     Attributes:
         path: the folder of this digest, or None if none can be written.

@@ -27,8 +27,8 @@ LINEAR_SPEED = 0.15
 ANGULAR_SPEED = 0.5
 """rad/s of the end effector at an angular action of 1."""
 
-_ITERATIONS = 3
-_DAMPING = 0.02
+_LEAST_SQUARES_STEPS = 3
+_DAMPING_LENGTH = 0.02
 """Metres; a radian of rotation counts as 0.3. Directions in which a radian of the joints moves the
 hand by less than that are given up rather than followed by fast joints."""
 
@@ -71,7 +71,7 @@ def joint_action(action: FloatArray, reference: FloatArray) -> FloatArray:
     rotation = turn @ tool[:3, :3]
     q = np.array(reference, np.float64)
     # Zero is zero: rounding must not make the arm creep.
-    for _ in range(_ITERATIONS if action[:6].any() else 0):
+    for _ in range(_LEAST_SQUARES_STEPS if action[:6].any() else 0):
         error = pose_errors(tool, position, rotation)
         change = _change(pose_jacobians(links, tool, True), error, q)
         q = np.clip(q + change, JOINT_LOWER, JOINT_UPPER)
@@ -86,7 +86,7 @@ def _change(jacobian: FloatArray, error: FloatArray, q: FloatArray) -> FloatArra
     """Return the change (6,) of the joints that reduces an error (6,) without leaving limits."""
     able = np.ones(6, np.bool_)
     while True:
-        change = damped_step(np.where(able, jacobian, 0.0), error, _DAMPING**2, np.inf)
+        change = damped_step(np.where(able, jacobian, 0.0), error, _DAMPING_LENGTH**2, np.inf)
         stuck = ((q <= JOINT_LOWER) & (change < 0.0)) | ((q >= JOINT_UPPER) & (change > 0.0))
         if not (stuck & able).any():
             return change

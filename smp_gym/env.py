@@ -14,6 +14,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from smp_gym.arrays import AnyFloatArray
 from smp_gym.control import joint_action
 from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.observation import (
@@ -49,8 +50,6 @@ is if the agent discounts by the same."""
 DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.23), distance=1.5, yaw=62.0, pitch=-28.0)
 
 _ACTION_TOLERANCE = 1e-6
-
-FloatArray = NDArray[np.floating[Any]]
 
 
 class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle):
@@ -211,8 +210,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         return observation, reward, self._over, False, info
 
     def compute_reward(
-        self, achieved_goal: FloatArray, desired_goal: FloatArray, info: Any
-    ) -> FloatArray | float:
+        self, achieved_goal: AnyFloatArray, desired_goal: AnyFloatArray, info: Any
+    ) -> AnyFloatArray | float:
         """Return the reward of reaching goals, as `step` would give it.
 
         Args:
@@ -420,7 +419,7 @@ def _checked_action(action: Any) -> NDArray[np.float64]:
     return np.minimum(np.maximum(checked, -1.0), 1.0)
 
 
-def _previous_goals(info: Any, shape: tuple[int, ...]) -> FloatArray:
+def _previous_goals(info: Any, shape: tuple[int, ...]) -> AnyFloatArray:
     infos = [info] if isinstance(info, Mapping) else list(info)
     try:
         goals = np.array([entry["previous_achieved_goal"] for entry in infos], np.float64)

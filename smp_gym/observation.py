@@ -18,6 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import MAX_OBSTACLES, SHAPES, ManipulatedObject, Obstacle, Scene
 from smp_gym.tasks.goals import Field
 from smp_gym.tasks.registry import make_task
@@ -92,8 +93,6 @@ OBSTACLE_LAYOUT = (
 
 _ROUNDING = 1e-3
 """By how much norms, step counts and goals may be off, having been float32."""
-
-Array = NDArray[np.float64]
 Observation = dict[str, NDArray[np.float32]]
 
 
@@ -112,30 +111,30 @@ class RobotState:
         end_effector_quaternion: (4,) x, y, z, w.
     """
 
-    configuration: Array
-    reference: Array
-    joint_velocity: Array
-    finger_angles: Array
+    configuration: FloatArray
+    reference: FloatArray
+    joint_velocity: FloatArray
+    finger_angles: FloatArray
     gripper_reference: float
-    finger_velocity: Array
-    end_effector_position: Array
-    end_effector_quaternion: Array
+    finger_velocity: FloatArray
+    end_effector_position: FloatArray
+    end_effector_quaternion: FloatArray
 
 
 @dataclass(frozen=True)
 class ObjectState:
     """State of the object: position (3,) m, quaternion (4,), velocities (3,), half-extents (3,)."""
 
-    position: Array
-    quaternion: Array
-    linear_velocity: Array
-    angular_velocity: Array
-    size: Array
+    position: FloatArray
+    quaternion: FloatArray
+    linear_velocity: FloatArray
+    angular_velocity: FloatArray
+    size: FloatArray
 
 
 @dataclass(frozen=True)
 class DecodedObservation:
-    """What an observation says.
+    """The content of an observation: scene, states of robot and object, time, contact, control.
 
     Attributes:
         scene: obstacles, goals and object; its start is the *present* configuration.
@@ -166,12 +165,12 @@ def _places(layout: tuple[Field, ...]) -> dict[str, slice]:
     return {f.name: slice(end - f.size, end) for f, end in zip(layout, ends, strict=True)}
 
 
-def _split(vector: Array, layout: tuple[Field, ...]) -> dict[str, Array]:
+def _split(vector: FloatArray, layout: tuple[Field, ...]) -> dict[str, FloatArray]:
     return {name: vector[place] for name, place in _places(layout).items()}
 
 
 @cache
-def _limits(layout: tuple[Field, ...]) -> tuple[Array, Array]:
+def _limits(layout: tuple[Field, ...]) -> tuple[FloatArray, FloatArray]:
     low = np.repeat([f.low for f in layout], [f.size for f in layout])
     high = np.repeat([f.high for f in layout], [f.size for f in layout])
     return low, high
@@ -194,7 +193,7 @@ class _Join:
         return joined.astype(np.float32)
 
 
-def state_field(observation: Mapping[str, Any], name: str) -> Array:
+def state_field(observation: Mapping[str, Any], name: str) -> FloatArray:
     """Return one field of `STATE_LAYOUT` of an observation (dict), unchecked, as float64.
 
     Raises:
@@ -295,7 +294,7 @@ class Encoder:
         }
 
 
-def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
+def _decode_obstacles(flat: FloatArray) -> tuple[Obstacle, ...]:
     obstacles = []
     for row in flat.reshape(MAX_OBSTACLES, -1):
         fields = _split(row, OBSTACLE_LAYOUT)
@@ -314,7 +313,7 @@ def _decode_obstacles(flat: Array) -> tuple[Obstacle, ...]:
     return tuple(obstacles)
 
 
-def _as_dict(observation: Any, task: str) -> dict[str, Array]:
+def _as_dict(observation: Any, task: str) -> dict[str, FloatArray]:
     """Check one raw or flattened observation and return its four vectors as float64."""
     space = _space(task)
     if isinstance(observation, Mapping):
@@ -355,8 +354,8 @@ def _abnormal(key: str, expectation: str) -> ValueError:
     )
 
 
-def _check_raw(vectors: Mapping[str, Array], state: Mapping[str, Array]) -> None:
-    """Raise ValueError if state or obstacles cannot be what was encoded.
+def _check_raw(vectors: Mapping[str, FloatArray], state: Mapping[str, FloatArray]) -> None:
+    """Raise ValueError if state or obstacles are no encoding of any.
 
     Normalised values often stay inside the bounds, but not what must be a unit quaternion, a whole
     number or a flag.
@@ -383,7 +382,7 @@ def _check_raw(vectors: Mapping[str, Array], state: Mapping[str, Array]) -> None
 
 
 def decode(observation: Any, task: str) -> DecodedObservation:
-    """Return what one observation says.
+    """Decode one observation into scene, states and control mode.
 
     Args:
         observation: one observation, raw (dict) or flattened (vector); not a batch.

@@ -119,7 +119,7 @@ class FrameRecorder:
 
 @dataclass(frozen=True)
 class Rollout:
-    """What came of an episode.
+    """The outcome of an episode: first and last observation, return, length.
 
     Attributes:
         first: first observation.
@@ -139,7 +139,7 @@ class Rollout:
 
     @property
     def success(self) -> bool:
-        """Whether the environment judged the episode a success."""
+        """True if the environment judged the episode a success."""
         return bool(self.info["is_success"])
 
 

@@ -187,7 +187,7 @@ def _known_kind(name: str) -> str:
 
 
 class Goal(_Frozen):
-    """Where the object shall end, or what the pen shall draw.
+    """A goal: the place of the object at the end, or the stroke that the pen shall draw.
 
     Attributes:
         kind: "bin", an open box in which the object must come to rest; "pad", a raised square on
@@ -276,7 +276,7 @@ class Scene(_Frozen):
 
 
 TABLE = Obstacle(shape="box", position=(0.0, 0.0, -0.3), size=(1.5, 1.5, 0.3))
-"""The table, its top at z = 0; so thick that from wherever the arm gets to, the way out is up."""
+"""The table, its top at z = 0; so thick that the top is its nearest side wherever the arm gets."""
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ def _pad_boxes(goal: Goal) -> tuple[Obstacle, ...]:
     return (Obstacle(shape="box", position=(x, y, z - half), size=size),)
 
 
-_KINDS = (
+_GOAL_KINDS = (
     GoalKind("bin", _bin_boxes, ("bin",), (0.30, 0.45, 0.62, 1.0)),
     GoalKind("pad", _pad_boxes, ("pad_left", "pad_right")),
     GoalKind("stroke"),
@@ -335,7 +335,7 @@ def goal_kind(name: str) -> GoalKind:
     Raises:
         ValueError: no such kind.
     """
-    kinds = {kind.name: kind for kind in _KINDS}
+    kinds = {kind.name: kind for kind in _GOAL_KINDS}
     if name not in kinds:
         from smp_gym.tasks.registry import task_definitions
 

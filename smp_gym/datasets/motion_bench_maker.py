@@ -46,9 +46,9 @@ _LARGEST = 2.0
 """m: half-extents and coordinates of centres that an observation can hold."""
 
 _NORM_TOLERANCE = 0.01
-"""How far the norm of an orientation may be from 1: files have it rounded to three digits."""
+"""Largest deviation of an orientation's norm from 1: files have it rounded to three digits."""
 
-_POINTS = 9
+_POINTS_PER_EDGE = 9
 """Points along each edge of a goal's body at which it is compared with obstacles."""
 
 
@@ -60,12 +60,12 @@ class _Pose:
     position: FloatArray
 
     def then(self, inner: _Pose) -> _Pose:
-        """Return the pose, in this one's base frame, of what has pose `inner` in its own."""
+        """Return the composition of this pose with `inner`, which is given in its frame."""
         position = self.position + self.rotation.apply(inner.position)
         return _Pose(self.rotation * inner.rotation, position)
 
 
-_IDENTITY = _Pose(Rotation.identity(), np.zeros(3))
+_IDENTITY_POSE = _Pose(Rotation.identity(), np.zeros(3))
 
 
 def _document(path: Path) -> Mapping[str, Any]:
@@ -175,7 +175,7 @@ def _bodies(
             f"{name} has {unsupported[0]}, which cannot be obstacles; skip_unsupported=True leaves "
             "them out"
         )
-    own = _pose(item["pose"], f"{name}.pose") if item.get("pose") else _IDENTITY
+    own = _pose(item["pose"], f"{name}.pose") if item.get("pose") else _IDENTITY_POSE
     primitives = _list(item.get("primitives"), f"{name}.primitives")
     poses = _list(item.get("primitive_poses"), f"{name}.primitive_poses")
     if not poses and item.get("pose"):
@@ -299,8 +299,8 @@ def _read(file: Path, base: _Pose, skip_unsupported: bool) -> list[tuple[str, Ob
 
 
 def _points_of(body: Obstacle) -> FloatArray:
-    """Return points all over an upright box, (N, 3) m."""
-    steps = np.linspace(-1.0, 1.0, _POINTS)
+    """Return points on a grid over an upright box, (N, 3) m."""
+    steps = np.linspace(-1.0, 1.0, _POINTS_PER_EDGE)
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.array(body.position) + grid * np.array(body.size)
 

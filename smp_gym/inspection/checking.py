@@ -51,10 +51,10 @@ OTHER_SCENES = 2
 """Scenes that these are played in, by turns."""
 
 DIFFICULTY = "easy"
-"""Of all of them."""
+"""Difficulty of all checked scenes."""
 
 NEW_SCENE_EVERY = 10
-"""Of so many resets, one draws a scene that was not seen before."""
+"""Resets per newly drawn scene; the others repeat scenes."""
 
 WARM_UP = 1000
 """Resets before memory counts: two worlds are built in them."""
@@ -62,7 +62,7 @@ WARM_UP = 1000
 
 @dataclass(frozen=True)
 class Bounds:
-    """What came of random steps.
+    """Extremes that were reached under random actions.
 
     Attributes:
         collisions: episodes that collided.

@@ -1,4 +1,4 @@
-"""How fast environments are: steps and resets a second, alone and in several processes.
+"""Throughput of environments: steps and resets a second, alone and in several processes.
 
 Beside them stands `PandaPickAndPlace-v3` of panda-gym, if that is installed (``pip install
 smp-gym[panda]``). Actions are random; steps a second leave out the resets in between.
@@ -28,7 +28,7 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 @dataclass(frozen=True)
 class Speed:
-    """What one process reaches.
+    """The throughput of one process.
 
     Attributes:
         steps: a second.

@@ -1,4 +1,4 @@
-"""How tightly collision shapes and spheres of the JACO cover the vendor's meshes.
+"""Coverage of the vendor's meshes of the JACO by its collision shapes and spheres.
 
 The meshes are those of example-robot-data (`robots/kinova_description/meshes`), which the `meshes`
 extra installs together with what reads them.
@@ -21,13 +21,13 @@ from smp_gym.jaco_assets.solids import Shape
 
 __all__ = ["Coverage", "coverage_table", "measure", "mesh_points"]
 
-_SAMPLES = 40_000
+_SURFACE_POINTS = 40_000
 """Points on a surface: on a link they are less than 2 mm apart."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How one link is covered; lengths in m.
+    """The coverage of one link; lengths in m.
 
     Attributes:
         outside: share of the mesh's surface that no shape contains.
@@ -47,23 +47,23 @@ def mesh_points(directory: Path, names: Sequence[str]) -> FloatArray:
     points = []
     for name in names:
         mesh = trimesh.load_mesh(directory / f"{name}.dae")
-        points += [mesh.vertices, trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)[0]]
+        points += [mesh.vertices, trimesh.sample.sample_surface(mesh, _SURFACE_POINTS, seed=0)[0]]
     return np.concatenate(points)
 
 
 def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) -> Coverage:
-    """Return how shapes, and spheres (S, 4), cover the points (N, 3) of a link's surface."""
+    """Return the coverage of a link's surface points (N, 3) by shapes and by spheres (S, 4)."""
     depth = np.min([shape.signed_distance(points) for shape in shapes], axis=0)
     tree = cKDTree(points)
     rng = np.random.default_rng(0)
 
     corners = np.concatenate([shape.hull() for shape in shapes])
-    around = rng.uniform(corners.min(axis=0), corners.max(axis=0), (20 * _SAMPLES, 3))
+    around = rng.uniform(corners.min(axis=0), corners.max(axis=0), (20 * _SURFACE_POINTS, 3))
     distance = np.min([shape.signed_distance(around) for shape in shapes], axis=0)
     shell = around[np.abs(distance) < 5e-4]
 
-    index = rng.integers(len(spheres), size=_SAMPLES)
-    direction = rng.normal(size=(_SAMPLES, 3))
+    index = rng.integers(len(spheres), size=_SURFACE_POINTS)
+    direction = rng.normal(size=(_SURFACE_POINTS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     surface = spheres[index, :3] + direction * spheres[index, 3:]
     reach = np.linalg.norm(surface[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3]
@@ -79,7 +79,7 @@ def measure(points: FloatArray, shapes: Sequence[Shape], spheres: FloatArray) ->
 
 
 def coverage_table(meshes: Path) -> Table:
-    """Return how each link's shapes and spheres cover the vendor's meshes.
+    """Return the coverage of the vendor's meshes by each link's shapes and spheres.
 
     Args:
         meshes: folder of the vendor's meshes.

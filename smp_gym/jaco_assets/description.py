@@ -42,14 +42,14 @@ __all__ = [
 ]
 
 PREFIX = "j2s6s200_"
-"""Of the vendor's names of links and joints."""
+"""Prefix of the vendor's names of links and joints."""
 
 _AXIS_RPY = {"x": (0.0, np.pi / 2, 0.0), "y": (-np.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}
 
 
 @dataclass(frozen=True)
 class Joint:
-    """How a link hangs on its parent; the axis of a moving joint is its z.
+    """The joint between a link and its parent; the axis of a moving joint is its z.
 
     Attributes:
         name: without the prefix.

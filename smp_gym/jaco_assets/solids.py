@@ -104,7 +104,7 @@ class Cylinder:
 
 
 def _signed_distance(excess: FloatArray) -> FloatArray:
-    """Return distances from how far points lie beyond each pair of faces, (N, pairs)."""
+    """Return distances (N,) from the excess of points beyond each pair of faces, (N, pairs)."""
     outside = np.linalg.norm(np.maximum(excess, 0.0), axis=1)
     return outside + np.minimum(excess.max(axis=1), 0.0)
 

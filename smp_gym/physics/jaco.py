@@ -183,7 +183,7 @@ class Jaco:
         """Command the motors towards the reference for the coming environment step."""
         states = pybullet.getJointStates(self._body, self._arm, physicsClientId=self._client)
         measured = np.array([state[0] for state in states])
-        # The velocity cap spreads the way over the whole step; without it the motors would jump.
+        # The velocity cap spreads the motion over the whole step; without it the motors would jump.
         velocity = np.abs(self._reference - measured) / CONTROL_PERIOD
         velocity = np.minimum(np.maximum(velocity, 1e-3), 1.05 * self._velocity_limit)
         for joint, target, cap, effort in zip(
@@ -214,7 +214,7 @@ class Jaco:
             )
 
     def carried(self, pose: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
-        """Return where something fixed to the hand is.
+        """Return the pose of a frame fixed to the hand.
 
         Args:
             pose: (4, 4) its pose in the end-effector frame.
@@ -230,7 +230,7 @@ class Jaco:
     def motion(
         self, point: NDArray[np.floating[Any]]
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return where a point fixed to the hand is and how it moves.
+        """Return position and velocity of a point fixed to the hand.
 
         Args:
             point: (3,) m, in the end-effector frame.

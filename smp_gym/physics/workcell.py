@@ -47,7 +47,7 @@ _PARKING = ((0.0, 0.0, -10.0), (0.0, 5.0, -10.0))
 _FAR_AWAY = (0.0, 0.0, 10.0)
 _IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
-_CLOSING_STEPS = 30
+_GRASP_STEPS = 30
 _SETTLING_STEPS = 20
 _STANDING_STEPS = 4
 _GRASP_TOLERANCE = 0.01
@@ -55,13 +55,13 @@ _GRASP_TOLERANCE = 0.01
 _SCENES_PER_WORLD = 500
 _DISPERSALS = 10
 
-_HAND = frozenset(HAND_LINKS)
+_HAND_PARTS = frozenset(HAND_LINKS)
 
 
 @cache
 def _group(part: str) -> str:
     """Return the group of a part, as `Task.permitted_contacts` names them."""
-    if part in _HAND:
+    if part in _HAND_PARTS:
         return "hand"
     if part in LINKS:
         return "arm"
@@ -153,7 +153,7 @@ class Workcell:
 
     @property
     def lines(self) -> tuple[Line, ...]:
-        """What is seen but has no body: goals without one, and the pen's trace over them."""
+        """Lines that show what has no body: goals without one, and the pen's trace over them."""
         shown = _bodiless_goals(self._scene)
         targets = (Line(points, _TARGET_COLOR, _TARGET_WIDTH) for points in shown)
         return (*targets, Line(self.status.trace, _TRACE_COLOR, _TRACE_WIDTH))
@@ -246,7 +246,7 @@ class Workcell:
 
     def _close_hand(self) -> None:
         # Weightless until the fingers have closed on what they hold, then let it hang.
-        for gravity, steps in ((False, _CLOSING_STEPS), (True, _SETTLING_STEPS)):
+        for gravity, steps in ((False, _GRASP_STEPS), (True, _SETTLING_STEPS)):
             self.world.set_gravity(gravity)
             for _ in range(steps):
                 self.arm.track()
@@ -310,7 +310,7 @@ class Workcell:
 
 
 def _bodiless_goals(scene: Scene) -> list[FloatArray]:
-    """Return lines (M, 3) m that show strokes, and edges of objects or tips where they shall be."""
+    """Return lines (M, 3) m that show strokes, and the goal poses of objects or tips."""
     size = scene.manipulated.size if scene.manipulated else (PEN_RADIUS,) * 3
     return [
         np.array(goal.checkpoints) if goal.checkpoints else wire_box(goal.position, size)
@@ -320,7 +320,7 @@ def _bodiless_goals(scene: Scene) -> list[FloatArray]:
 
 
 def _grasp(scene: Scene) -> tuple[tuple[float, ...], ManipulatedObject | None]:
-    """Return what of a scene its snapshot depends on.
+    """Return the part of a scene that its snapshot depends on.
 
     A pen, being fixed to the hand, is held alike wherever the episode begins; an object on the
     table is set down later.

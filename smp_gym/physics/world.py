@@ -60,7 +60,7 @@ _SKY_COLOR = (
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from.
+    """The viewpoint of a picture.
 
     Attributes:
         target: point in the middle of the picture, m.
@@ -161,7 +161,7 @@ class BulletWorld:
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called."""
+        """True once `close` was called."""
         return not self._finalizer.alive
 
     # Bodies
@@ -221,7 +221,7 @@ class BulletWorld:
         return body
 
     def reserve_obstacles(self) -> None:
-        """Make the pool of `MAX_OBSTACLES` obstacles, all out of the way; call it last.
+        """Make the pool of `MAX_OBSTACLES` obstacles, all parked far off; call it last.
 
         Removing a body moves the engine's last body into the gap, and a snapshot knows bodies by
         their order only: what is exchanged must stand behind all that stays.
@@ -230,7 +230,7 @@ class BulletWorld:
             self._park(slot, _SPECK)
 
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """Replace all obstacles by bodies of these shapes, out of the way until they are placed.
+        """Replace all obstacles by bodies of these shapes, parked far off until they are placed.
 
         They are called ``obstacle_0``, ``obstacle_1``, …, as `obstacles` says.
         """

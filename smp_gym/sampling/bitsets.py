@@ -23,7 +23,7 @@ def packed(flags: NDArray[np.bool_]) -> NDArray[np.uint64]:
 
 @kernel
 def ones(word: np.uint64) -> np.int64:
-    """Return how many bits of a word are set (the parallel sum of Knuth, TAOCP 7.1.3)."""
+    """Return the number of bits of a word that are set (the parallel sum of Knuth, TAOCP 7.1.3)."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     low = np.uint64(0x3333333333333333)
     word = (word & low) + ((word >> np.uint64(2)) & low)

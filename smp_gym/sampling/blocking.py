@@ -20,14 +20,14 @@ from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
 
 __all__ = ["block", "block_around_witness"]
 
-_FAMILIES = 4
-_ROUNDS = 3
+_MAX_FAMILIES = 4
+_MAX_ROUNDS = 3
 _MAX_CHOICES = 12
-"""How many families are tried for a goal, how often candidates are added for a family, and how many
-choices are made from them each time."""
+"""Numbers of families tried for a goal, of rounds that add candidates for a family, and of choices
+made from them in each round."""
 
 _PARENTS = 24
-"""How many of the candidates have children, others that resemble them."""
+"""Number of the candidates that have children, others that resemble them."""
 
 _GLANCE = 8
 """Every so-many-th sample of another witness is looked at first."""
@@ -64,7 +64,7 @@ def _choices(
     most = int(specification.free_share * proposed.sum())
     candidates = Candidates.none(family, len(able))
     free = proposed & (already == 0)
-    for _ in range(_ROUNDS if crowd else 1):
+    for _ in range(_MAX_ROUNDS if crowd else 1):
         if crowd:
             # What is left free after a choice shows where obstacles are missing.
             pool = draw_candidates(query, family, free, rng)
@@ -106,7 +106,7 @@ def block_around_witness(
     """
     crowd = specification.obstacles > 0
     counts = (query.transfer.proposals, query.transfer.wide) if crowd else (0, 0)
-    for _ in range(_FAMILIES if crowd else 1):
+    for _ in range(_MAX_FAMILIES if crowd else 1):
         family = draw_family(query, *counts, rng)
         drawn = _place(query, specification, family, rng, before)
         if drawn is not None:

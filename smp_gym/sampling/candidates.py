@@ -1,4 +1,4 @@
-"""Obstacles to choose from, with what is known of them: first from the grid, then exactly."""
+"""Candidate obstacles with the proposals that they block: first by the grid, then exactly."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from smp_gym.sampling.family import BLOCKING_DEPTH, Family
 
 __all__ = ["Candidates"]
 
-_DEPTH = BLOCKING_DEPTH + 0.01
+_GRID_DEPTH = BLOCKING_DEPTH + 0.01
 """Metres: how deep an obstacle has to reach on the grid, whose guesses are the least of many and so
 rather too near."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Obstacles to choose from.
+    """Candidate obstacles.
 
     Attributes:
         rows: (C, 9).
@@ -45,13 +45,13 @@ class Candidates:
 
     @classmethod
     def guessed(cls, family: Family, rows: FloatArray, clears: BoolArray) -> Candidates:
-        """Return (C, 9) obstacles with what the grid says that they block."""
-        blocks = family.near(rows, -_DEPTH)[:, : family.proposals]
+        """Return (C, 9) obstacles with the proposals that they block by the grid."""
+        blocks = family.near(rows, -_GRID_DEPTH)[:, : family.proposals]
         blocks &= family.free[: family.proposals]
         return cls(rows, blocks, clears, np.zeros(len(rows), np.bool_))
 
     def joined(self, other: Candidates) -> Candidates:
-        """Return these and others."""
+        """Return the union of two sets of candidates."""
         return Candidates(
             np.concatenate([self.rows, other.rows]),
             np.concatenate([self.blocks, other.blocks]),

@@ -1,4 +1,4 @@
-"""The choice of obstacles that together block most and leave somebody clear."""
+"""The choice of obstacles that together block most and leave a member clear."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from smp_gym.scene import SHAPES
 __all__ = ["REPEATED", "apart", "choose", "widths"]
 
 _OVERLAP = 0.8
-"""How near the axes of obstacles may come, as a share of the sum of their widths."""
+"""Least distance between the axes of obstacles, as a share of the sum of their widths."""
 
 _PAIRED = 128
-"""How many of the most blocking candidates are compared in pairs."""
+"""Number of the most blocking candidates that are compared in pairs."""
 
 REPEATED = 0.1
-"""What blocking a proposal counts for each obstacle that blocks it already."""
+"""Value of blocking a proposal again, for each obstacle that blocks it already."""
 
 _SWEEPS = 2
-"""How often each of the chosen is put to the test against all others in its place."""
+"""Times that each of the chosen is compared with all others in its place."""
 
 
 def widths(rows: FloatArray) -> FloatArray:
@@ -37,7 +37,7 @@ def widths(rows: FloatArray) -> FloatArray:
 
 
 def apart(rows: FloatArray, others: FloatArray) -> BoolArray:
-    """Return (A, B), which obstacles stand beside or over which others."""
+    """Return a mask (A, B) of pairs of obstacles that stand beside or over one another."""
     reach = _OVERLAP * (widths(rows)[:, None] + widths(others))
     distance = np.hypot(rows[:, None, 1] - others[:, 1], rows[:, None, 2] - others[:, 2])
     height = np.abs(rows[:, None, 3] - others[:, 3])
@@ -52,7 +52,7 @@ def choose(
     already: NDArray[np.int64],
     specification: DifficultySpecification,
 ) -> list[int] | None:
-    """Choose obstacles that block most and leave somebody clear.
+    """Choose obstacles that block most and leave a member clear.
 
     The first two are the best of all pairs of the most blocking candidates, each further one adds
     most, and of more than two each is exchanged while another in its place adds more. A proposal
@@ -141,7 +141,7 @@ def _best_at(
     already: NDArray[np.int64],
     on_table: bool,
 ) -> int:
-    """Return what is best in a slot beside the other chosen, -1 if nothing fits there."""
+    """Return the best candidate for a slot beside the other chosen, -1 if none fits there."""
     times = already.copy()
     alive = np.full(clears.shape[1], ~np.uint64(0))
     mean = already[0] > 0

@@ -1,4 +1,4 @@
-"""Draws: what a task's sampler returns, and scenes made of it."""
+"""Draws of a task's sampler, and the scenes made of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DEFAULT_OBJECT = ManipulatedObject()
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """What one scene draws at random.
+    """The random quantities of one scene.
 
     Attributes:
         start: (6,) rad.
@@ -42,7 +42,7 @@ Drawing = Callable[[str, np.random.Generator], Draw | None]
 
 @dataclass(frozen=True)
 class SceneSampler:
-    """What draws the scenes of a task.
+    """The functions that draw the scenes of a task.
 
     Each function takes difficulty (or kind of furniture) and source of randomness, and returns None
     or raises `UnreachableError` where what it drew does not fit together: it is then called again.

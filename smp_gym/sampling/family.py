@@ -55,11 +55,11 @@ class Family:
     able: BoolArray
 
     def near(self, rows: FloatArray, distance: float) -> BoolArray:
-        """Return (C, N), which members come within a distance (m) of which obstacles."""
+        """Return a mask (C, N) of members that come within a distance (m) of obstacles."""
         return near(self.grid, rows, distance, len(self.paths))
 
     def blocked(self, rows: FloatArray) -> BoolArray:
-        """Return (C, P), which proposals each obstacle blocks, checked without the grid."""
+        """Return a mask (C, P) of proposals that obstacles block, checked without the grid."""
         paths = self.paths[: self.proposals]
         return kernels.blocked_paths(paths, self.radius, rows, BLOCKING_DEPTH)
 

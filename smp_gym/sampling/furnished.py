@@ -25,10 +25,10 @@ from smp_gym.scene import Goal
 
 __all__ = ["furnish"]
 
-_CLEARANCE = 0.02
+_WITNESS_CLEARANCE = 0.02
 """m, what furniture leaves between itself and the witness's spheres."""
 
-_GOAL_CLEARANCE = 0.012
+_GOAL_BODY_CLEARANCE = 0.012
 """m, between furniture and points on the body of a goal."""
 
 _FREE_SHARE = 0.03
@@ -36,16 +36,16 @@ _FIRST_PROPOSALS = ((10, 0.10), (30, 0.07))
 """Share of the proposals that furniture may leave free, and larger ones that it may leave of the
 first so many: most pieces are thrown away for these few."""
 
-_SAMPLES = 40
-_WIDE = 168
+_MEMBER_SAMPLES = 40
+_WIDE_DETOURS = 168
 """Samples of each member of a family, more than for single obstacles since furniture is thin, and
 how many wide detours are drawn."""
 
 _PIECES = 40
 _MEMBERS = 20
-"""How many pieces are tried with a family, how many of its members as the witness of each."""
+"""Numbers of pieces tried with a family, and of its members tried as the witness of each."""
 
-_POINTS = (9, 9, 7)
+_POINTS_PER_AXIS = (9, 9, 7)
 """Points on a goal's body along x, y and z that furniture is kept away from."""
 
 
@@ -54,7 +54,7 @@ def _points_of(goals: tuple[Goal, ...]) -> FloatArray:
     points = []
     for goal in goals:
         row = np.array(to_solid_row(goal))
-        steps = (np.linspace(-1.0, 1.0, count) for count in _POINTS)
+        steps = (np.linspace(-1.0, 1.0, count) for count in _POINTS_PER_AXIS)
         grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
         points.append(row[1:4] + grid * row[6:9])
     return np.concatenate(points)[None]
@@ -89,15 +89,15 @@ def furnish(
     Raises:
         UnreachableError: the goal is out of reach.
     """
-    transfer = replace(query.transfer, samples=_SAMPLES)
+    transfer = replace(query.transfer, samples=_MEMBER_SAMPLES)
     query = replace(query, transfer=transfer)
-    family = draw_family(query, transfer.proposals, _WIDE, rng)
+    family = draw_family(query, transfer.proposals, _WIDE_DETOURS, rng)
     ends, points = (transfer.start[None], query.release[None]), _points_of(query.goals)
     x, y, z = (kinematics.end_effector_pose(transfer.start) @ transfer.held)[:3, 3].tolist()
     place = Place(query.goal.position, (x, y, z))
     others = np.empty((0, kernels.OBSTACLE_COLUMNS)) if before is None else before.rows
     other = None if before is None else before.witness
-    able = family.able & ~family.near(others, _CLEARANCE).any(axis=0)
+    able = family.able & ~family.near(others, _WITNESS_CLEARANCE).any(axis=0)
     bodies = fixture_rows(query.goals)
 
     def clearance(trajectory: FloatArray, rows: FloatArray) -> float:
@@ -108,18 +108,18 @@ def furnish(
         at_goals = kernels.path_clearances(points, np.zeros(points.shape[1]), rows, 1.0).min()
         if (
             clearance(ends[0], rows) < START_CLEARANCE
-            or clearance(ends[1], rows) < _CLEARANCE
-            or at_goals < _GOAL_CLEARANCE
-            or (other is not None and clearance(other, rows) < _CLEARANCE)
+            or clearance(ends[1], rows) < _WITNESS_CLEARANCE
+            or at_goals < _GOAL_BODY_CLEARANCE
+            or (other is not None and clearance(other, rows) < _WITNESS_CLEARANCE)
         ):
             continue
-        alive = np.flatnonzero(able & ~family.near(rows, _CLEARANCE).any(axis=0))
+        alive = np.flatnonzero(able & ~family.near(rows, _WITNESS_CLEARANCE).any(axis=0))
         if not len(alive) or not _blocks_enough(family, rows):
             continue
         together = np.concatenate([others, rows])
         for index in alive[:_MEMBERS]:
             witness = member(transfer, family, int(index))
-            if is_witness(transfer, witness, bodies, together, _CLEARANCE):
+            if is_witness(transfer, witness, bodies, together, _WITNESS_CLEARANCE):
                 return Draw(
                     transfer.start, query.goals, together, witness if other is None else other
                 )

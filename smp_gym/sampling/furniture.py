@@ -23,7 +23,7 @@ _PANEL = 0.01
 """Half thickness of panels and boards."""
 
 _TURN = 0.25
-"""Largest turn of a piece out of the direction in which the robot sees it, rad."""
+"""Largest turn of a piece about the vertical, from facing the robot, rad."""
 
 _SHELF_FRONT = (-0.22, -0.08)
 _SHELF_HALF_WIDTH = (0.11, 0.17)
@@ -49,7 +49,7 @@ _BAR_HEIGHT = (0.14, 0.28)
 """Of a cage: where its posts stand as seen from the goal, how high its top and the bars on its
 sides lie above the goal, and how thick posts and bars are (radius, half width)."""
 
-_TABLE_SHARE = (0.35, 0.65)
+_TABLE_BEARING = (0.35, 0.65)
 _TABLE_RADIUS = (0.42, 0.56)
 _TABLE_HALF_DEPTH = (0.09, 0.15)
 _TABLE_HALF_WIDTH = (0.07, 0.13)
@@ -57,13 +57,13 @@ _TABLE_TOP = (0.10, 0.20)
 _OBJECTS = 5
 _OBJECT_HALF_WIDTH = (0.02, 0.05)
 _OBJECT_HALF_HEIGHT = (0.08, 0.20)
-"""Of a table: where it stands (share of the turn from start to goal, distance from the base's
-axis), its size and height; number and size of the objects on it."""
+"""Of a table: its place (share of the turn from start to goal, distance from the base's axis), size
+and height; number and size of the objects on it."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """What a piece of furniture is built for.
+    """The surroundings that a piece of furniture is fitted to.
 
     Attributes:
         goal: the surface on which the object shall end.
@@ -185,7 +185,7 @@ def _around_goal(place: Place, rng: np.random.Generator) -> tuple[float, float, 
 
 def _between(place: Place, rng: np.random.Generator) -> tuple[float, float, float]:
     begin, end = _bearing(place.start), _bearing(place.goal)
-    bearing = begin + rng.uniform(*_TABLE_SHARE) * (end - begin)
+    bearing = begin + rng.uniform(*_TABLE_BEARING) * (end - begin)
     radius = rng.uniform(*_TABLE_RADIUS)
     turn = bearing + rng.uniform(-_TURN, _TURN)
     return float(radius * np.cos(bearing)), float(radius * np.sin(bearing)), turn
@@ -194,7 +194,7 @@ def _between(place: Place, rng: np.random.Generator) -> tuple[float, float, floa
 _Build = Callable[[Place, np.random.Generator], list[Obstacle]]
 _Put = Callable[[Place, np.random.Generator], tuple[float, float, float]]
 
-_KINDS: dict[str, tuple[_Build, _Put]] = {
+_BUILDERS: dict[str, tuple[_Build, _Put]] = {
     "shelf": (_shelf, _around_goal),
     "box": (_open_box, _around_goal),
     "cage": (_cage, _around_goal),
@@ -203,21 +203,21 @@ _KINDS: dict[str, tuple[_Build, _Put]] = {
 
 FURNITURE = FAMILIES[1:]
 """Kinds of furniture."""
-assert tuple(_KINDS) == FURNITURE
+assert tuple(_BUILDERS) == FURNITURE
 
 
 def draw_furniture(kind: str, place: Place, rng: np.random.Generator) -> tuple[Obstacle, ...]:
     """Return a piece of furniture of random size, at a random turn, near its place.
 
-    Nothing is known here of the robot: what stands in its way or in that of the goal's own body is
-    for others to find out.
+    Nothing is known here of the robot: collisions of the piece with it or with the goal's own body
+    are for the caller to find.
 
     Args:
         kind: one of `FURNITURE`.
         place: what it is built for.
         rng: source of all randomness.
     """
-    build, put = _KINDS[kind]
+    build, put = _BUILDERS[kind]
     parts = build(place, rng)
     x, y, turn = put(place, rng)
     c, s = float(np.cos(turn)), float(np.sin(turn))

@@ -1,4 +1,4 @@
-"""The grid on which obstacles are compared: which paths' spheres pass which of its points.
+"""The grid on which obstacles are compared: occupancy of its points by the spheres of paths.
 
 Every centre of a sphere sets a bit at the point nearest to it; a query then visits the points
 around an obstacle, farther for larger spheres. That takes one step for each sphere of a path, where
@@ -20,7 +20,7 @@ from smp_gym.sampling.kernels import point_distance
 
 __all__ = ["Grid", "near", "rasterise"]
 
-_ORIGIN = np.array([0.04, -0.76, 0.0])
+_FIRST_POINT = np.array([0.04, -0.76, 0.0])
 _SPACING = 0.04
 _SHAPE = (24, 39, 26)
 """First point (m), spacing (m) and numbers of points: all that the arm can reach with its hand in
@@ -32,7 +32,7 @@ _SMALL = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Which paths pass which points.
+    """Occupancy of the grid's points by the spheres of each path.
 
     Attributes:
         words: (2, X, Y, Z, ceil(N / 64)), a bit for each path, of its small and its large spheres.
@@ -48,14 +48,14 @@ def rasterise(paths: FloatArray, radius: FloatArray) -> Grid:
     large = radius >= _SMALL
     means = [radius[kind].mean() if kind.any() else -1.0 for kind in (~large, large)]
     return Grid(
-        _set_bits(paths, large.astype(np.int64), _ORIGIN, _SPACING, _SHAPE), np.array(means)
+        _set_bits(paths, large.astype(np.int64), _FIRST_POINT, _SPACING, _SHAPE), np.array(means)
     )
 
 
 def near(grid: Grid, rows: FloatArray, distance: float, members: int) -> BoolArray:
-    """Return (C, members), which paths of a grid come within a distance (m) of which obstacles."""
+    """Return a mask (C, members) of paths of a grid within a distance (m) of obstacles."""
     reach = np.where(grid.radius < 0.0, -np.inf, grid.radius + distance)
-    return _collect(grid.words, reach, rows, _ORIGIN, _SPACING, members)
+    return _collect(grid.words, reach, rows, _FIRST_POINT, _SPACING, members)
 
 
 @kernel

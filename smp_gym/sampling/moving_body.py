@@ -45,7 +45,7 @@ class MovingBody:
         /,
         **more: Any,
     ) -> _Body:
-        """Return arm, fingers and what they hold.
+        """Return the body of arm, fingers and held object.
 
         Args:
             demonstrations: (N, T, 6) rad.

@@ -1,4 +1,4 @@
-"""Obstacles to choose from: near the trajectories of a family, off table, goals and start."""
+"""Candidate obstacles: near the trajectories of a family, off table, goals and start."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ SHAPE_SHARES = (0.5, 0.3, 0.2)
 """Obstacles: range of half-extents (m), share that stands on the table, shares of `SHAPES`."""
 
 _CANDIDATES = 300
-"""How many obstacles are drawn to choose from."""
+"""Number of obstacles drawn to choose from."""
 
 _SHIFT = 0.02
 _CHILDREN = 150
-"""Those that block most have children: how far each is shifted, m, and how many."""
+"""Children of the obstacles that block most: their shift, m, and their number."""
 
 
 def draw_candidates(
@@ -110,7 +110,7 @@ def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
 
 
 def _fits(query: Query, rows: FloatArray) -> BoolArray:
-    """Return which obstacles are off base, table, goals and start."""
+    """Return a mask (C,) of obstacles clear of base, table, goals and start."""
     fits: BoolArray = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
     fits &= rows[:, 3] >= rows[:, 8]
     width = widths(rows)

@@ -20,7 +20,7 @@ __all__ = [
 
 _MAX_DRAWS = 200
 _MAX_FURNISHED_DRAWS = 400
-"""How many goals, with obstacles and with furniture, are drawn in all."""
+"""Largest numbers of goals drawn in all, with obstacles and with furniture."""
 
 
 def sample_with_witness(
@@ -149,7 +149,7 @@ def sample_furniture(task: str, kind: str, seed: int, version: int | None = None
 
 
 def sample_of_family(task: str, family: str, difficulty: str, seed: int) -> Scene:
-    """Return what an environment of this task, family and difficulty plays with this seed.
+    """Return the scene that an environment of this task, family and difficulty plays.
 
     Args:
         task: name of the task.

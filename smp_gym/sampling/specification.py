@@ -1,4 +1,4 @@
-"""What a difficulty means, and where the random numbers of a scene come from."""
+"""The difficulties' settings, and the random generator of a scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["SPECIFICATIONS", "DifficultySpecification", "generator"]
 
 @dataclass(frozen=True)
 class DifficultySpecification:
-    """What a difficulty means.
+    """The settings of a difficulty.
 
     Attributes:
         obstacles: how many.

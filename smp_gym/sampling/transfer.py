@@ -20,7 +20,7 @@ __all__ = ["Query", "Transfer", "carry", "make_transfer", "release_configuration
 
 @dataclass(frozen=True, eq=False)
 class Transfer(MovingBody):
-    """What sampling needs to know of a movement that sets an object down.
+    """A demonstrated movement that sets an object down, as the samplers take it.
 
     Attributes:
         start: (6,) rad.
@@ -103,7 +103,7 @@ def release_configuration(transfer: Transfer, goal: Goal) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What is to be done in a scene: one transfer, to one of its goals.
+    """The query of a scene: one transfer, to one of its goals.
 
     Attributes:
         transfer: the movement that leads there.

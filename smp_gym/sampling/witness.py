@@ -1,4 +1,4 @@
-"""Witnesses, feasible reference trajectories: whether a trajectory solves a scene, densely."""
+"""Witnesses: the dense check of feasible reference trajectories."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LIMIT_MARGIN = 0.05
 
 
 def within_limits(trajectories: FloatArray, steps: float | None = None) -> BoolArray:
-    """Return which of (..., T, 6) trajectories keep the joint limits and are quick enough.
+    """Return a mask (...) of (..., T, 6) trajectories within joint limits and quick enough.
 
     Args:
         trajectories: rad.

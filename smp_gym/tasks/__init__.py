@@ -1,4 +1,4 @@
-"""The tasks: what an episode is about, told without a physics engine; a folder for each.
+"""The tasks: goals, success and scenes of episodes, without a physics engine; a folder for each.
 
 A task's folder holds four files. ``__init__`` exports ``TASK``, a light
 `smp_gym.tasks.definition.TaskDefinition`; ``rules`` exports ``RULES``: goals, success, reward,

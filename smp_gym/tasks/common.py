@@ -1,4 +1,4 @@
-"""What all tasks share: the rules that few change, checks of scenes, scale of the dense reward."""
+"""Rules common to all tasks: defaults that few change, checks of scenes, scale of dense rewards."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, REACH, SHOULDER_HEIGHT
 from smp_gym.scene import Scene
 from smp_gym.tasks.goals import GoalCodec
@@ -17,11 +16,8 @@ from smp_gym.tasks.status import Status
 __all__ = ["POTENTIAL_PER_METRE", "CommonRules"]
 
 POTENTIAL_PER_METRE = 20.0
-"""By how much the dense reward's potential rises towards the goal. The end of an episode, by
-failure too, forgives the distance left: 2 m of it must count for much less than a failure."""
-
-
-FloatArray = NDArray[np.floating[Any]]
+"""Rise of the dense reward's potential towards the goal. The end of an episode, by failure too,
+forgives the distance left: 2 m of it must count for much less than a failure."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +27,7 @@ class CommonRules:
     name: str
 
     goals: ClassVar[GoalCodec]
-    object_in_hand: ClassVar[FloatArray]
+    object_in_hand: ClassVar[AnyFloatArray]
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if the scene is another task's, something moves or is out of reach."""
@@ -43,16 +39,16 @@ class CommonRules:
         """Return nothing: as long as there is time, the episode can succeed."""
         return ""
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
+    def collided(self, achieved: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of a collision, (...)."""
         return np.asarray(achieved[..., self._flag("collided")] > 0.5)
 
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return False for all goals (..., G): no episode is over without success."""
         return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return nothing: goals tell no more than success."""
+    def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
+        """Return nothing: goals hold no more than success."""
         return {}
 
     def _flag(self, name: str) -> int:

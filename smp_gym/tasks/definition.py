@@ -1,4 +1,4 @@
-"""What a task is made of: the definition that the registry holds, and the rules behind it."""
+"""Task definitions: the entry of a task in the registry, and the protocol of its rules."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 
 if TYPE_CHECKING:
     from smp_gym.datasets.demonstrations import Demonstrations
@@ -21,8 +18,6 @@ if TYPE_CHECKING:
     from smp_gym.tasks.status import Status
 
 __all__ = ["Task", "TaskDefinition"]
-
-FloatArray = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -81,7 +76,7 @@ class Task(Protocol):
         ...
 
     @property
-    def object_in_hand(self) -> FloatArray:
+    def object_in_hand(self) -> AnyFloatArray:
         """(4, 4) pose of object or pen's tip in the end-effector frame once the hand holds it."""
         ...
 
@@ -105,18 +100,18 @@ class Task(Protocol):
         ...
 
     def failure(self, status: Status) -> str:
-        """Return why the episode can no longer succeed, or an empty string."""
+        """Return the cause for which the episode can no longer succeed, or an empty string."""
         ...
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) are reached, (...)."""
         ...
 
-    def collided(self, achieved: FloatArray) -> BoolArray:
+    def collided(self, achieved: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of a collision, (...)."""
         ...
 
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) tell of an episode that is over without success, (...).
 
         It may depend on the desired goal for the verdict only, not for the moment: an episode that
@@ -125,10 +120,10 @@ class Task(Protocol):
         """
         ...
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return the potential (...) whose differences make up the dense reward."""
         ...
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return what goals (G,) tell beyond success; it goes into the step's info."""
+    def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
+        """Return further results that goals (G,) hold, for the step's info."""
         ...

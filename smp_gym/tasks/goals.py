@@ -6,19 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import Goal, Scene
 
 __all__ = ["Field", "GoalCodec", "flag", "position", "resting_place"]
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Field:
-    """One named stretch of a vector, with the bounds of its entries."""
+    """A named range of a vector's entries, with the bounds of its entries."""
 
     name: str
     size: int
@@ -38,7 +34,7 @@ def flag(name: str, count: int = 1) -> Field:
 
 @dataclass(frozen=True)
 class GoalCodec:
-    """How the goals of a task's scenes become the desired goal, and back.
+    """The codec between the goals of a task's scenes and the desired goal.
 
     Attributes:
         layout: fields of achieved and desired goal; ``collided`` must be one of them.
@@ -51,11 +47,11 @@ class GoalCodec:
 
     layout: tuple[Field, ...]
     encode: Callable[[Scene], dict[str, Any]]
-    decode: Callable[[Mapping[str, Array], Array], tuple[Goal, ...]]
+    decode: Callable[[Mapping[str, FloatArray], FloatArray], tuple[Goal, ...]]
     with_object: bool = True
 
     def columns(self, name: str) -> slice:
-        """Return where a field stands in the goal vectors.
+        """Return the columns of a field in the goal vectors.
 
         Raises:
             KeyError: no such field.
@@ -69,7 +65,7 @@ class GoalCodec:
 
 
 def resting_place(scene: Scene, index: int) -> tuple[float, float, float]:
-    """Return where the object's centre shall rest to reach goal `index`, m.
+    """Return the resting place of the object's centre at goal `index`, m.
 
     Raises:
         ValueError: the scene has no object.

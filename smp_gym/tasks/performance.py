@@ -30,7 +30,7 @@ SPEED_LIMIT = 0.9
 """Share of the joint velocity limits that a demonstrator uses at most."""
 
 Report = Callable[[str], None]
-"""Is told how each performance went, in one line."""
+"""Callback that takes the outcome of each performance, in one line."""
 
 
 def draw_duration(bounds: tuple[float, float], rng: np.random.Generator) -> float:

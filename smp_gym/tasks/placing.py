@@ -1,23 +1,20 @@
-"""What tasks share that set an object down: checks of scenes, contacts, flags of the goals."""
+"""Rules common to tasks that set an object down: checks of scenes, contacts, flags of the goals."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.scene import Scene
 from smp_gym.tasks.common import CommonRules
 from smp_gym.tasks.goals import Field, flag
 from smp_gym.tasks.status import Status
 
 __all__ = ["GRASP_FINGER_ANGLES", "PLACING_FLAGS", "SET_DOWN", "PlacingTask"]
-
-FloatArray = NDArray[np.floating[Any]]
 
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
@@ -26,7 +23,7 @@ PLACING_FLAGS: tuple[Field, ...] = (flag("collided"), flag("released"), flag("at
 """Flags of the goals of tasks that set an object down, the last fields of their goal vectors."""
 
 SET_DOWN = {"collided": 0.0, "released": 1.0, "at_rest": 1.0}
-"""What such a task demands of them."""
+"""Values of these flags in the desired goal."""
 
 _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
 
@@ -37,7 +34,7 @@ class PlacingTask(CommonRules, ABC):
 
     The held object may touch nothing but the hand. Once let go and come to rest it has been placed,
     which ends the episode: where it should be with success, anywhere else with the penalty of a
-    collision. Without the penalty dropping would be a way out; without the end an agent that learns
+    collision. Without the penalty dropping would be an escape; without the end an agent that learns
     from hindsight finds that letting go at once always reaches some goal, and hardly ever that it
     misses the desired one.
     """
@@ -46,7 +43,7 @@ class PlacingTask(CommonRules, ABC):
     """Group of the bodies on which the object may rest, which is also the kind of the goals."""
 
     goal_count: ClassVar[int]
-    """How many goals a scene has."""
+    """Number of goals of a scene."""
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -76,11 +73,11 @@ class PlacingTask(CommonRules, ABC):
         return "dropped" if not status.held and "table" in status.object_contacts else ""
 
     @abstractmethod
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., G) are reached, (...)."""
 
-    def lost(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return whether goals (..., G) tell of an object let go and at rest elsewhere, (...)."""
+    def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
+        """Return a mask (...) of goals (..., G) with the object let go and at rest elsewhere."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         placed = (achieved[..., released] > 0.5) & (achieved[..., at_rest] > 0.5)
         if not placed.any():
@@ -95,7 +92,7 @@ class PlacingTask(CommonRules, ABC):
             "at_rest": float(status.at_rest),
         }
 
-    def _let_go(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def _let_go(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether the demanded flags are up and nothing collided, (...)."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         up = achieved[..., released] >= desired[..., released]

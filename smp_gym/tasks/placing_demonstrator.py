@@ -31,7 +31,7 @@ _RELEASE_STEPS = 60
 
 @dataclass(frozen=True)
 class Script:
-    """What the demonstrator does in a task.
+    """The demonstrator's movements in a task, and the settings that they follow.
 
     Attributes:
         task: its name.

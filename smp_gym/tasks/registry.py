@@ -1,4 +1,4 @@
-"""The registry of tasks: which there are, by name.
+"""The registry of tasks, by name.
 
 Nothing is imported here but the light definitions, and these only when they are asked for: scenes
 and observations look up their task here, and the tasks are made of scenes.

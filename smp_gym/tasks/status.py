@@ -1,4 +1,4 @@
-"""What a task is told of the world after each environment step."""
+"""The state of the world that a task judges after each environment step."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ class Status:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the object lies still with the hand clear of it."""
+        """True if the object lies still with the hand clear of it."""
         return self.calm_steps >= CALM_STEPS

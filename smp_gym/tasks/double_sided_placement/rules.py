@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.robot.kinematics import GRASP_CENTER
 from smp_gym.scene import PAD_DEPTH, PAD_HALF_WIDTH, Goal, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE
@@ -31,8 +31,6 @@ __all__ = [
     "DoubleSidedPlacement",
 ]
 
-FloatArray = NDArray[np.floating[Any]]
-
 SIDES = ("left", "right")
 """Left is where y is positive; goals stand in this order."""
 
@@ -41,7 +39,7 @@ START_CONFIGURATION = (-1.5293, 3.192, 0.8179, 0.0969, 2.7375, -0.0728)
 sides."""
 
 NOMINAL_PADS = ((0.42, 0.44, 0.085), (0.42, -0.44, 0.085))
-"""Where the demonstrations find the pads: centre of their surfaces, m (`Goal.position`)."""
+"""Places of the pads in the demonstrations: centre of their surfaces, m (`Goal.position`)."""
 
 PAD_SHIFT = 0.15
 """Radius of the discs around `NOMINAL_PADS` in which an episode's pads stand, m."""
@@ -77,7 +75,7 @@ def _encode(scene: Scene) -> dict[str, Any]:
     return {**places, **SET_DOWN}
 
 
-def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: AnyFloatArray) -> tuple[Goal, ...]:
     places = (desired[name].tolist() for name in _FIELDS)
     return tuple(Goal(kind="pad", position=(x, y, z - float(size[2]))) for x, y, z in places)
 
@@ -85,7 +83,7 @@ def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tup
 _GOALS = GoalCodec((*map(position, _FIELDS), *PLACING_FLAGS), _encode, _decode)
 
 _HEIGHT_TOLERANCE = 0.015
-_TOLERANCE = np.array([PAD_HALF_WIDTH, PAD_HALF_WIDTH, _HEIGHT_TOLERANCE])
+_POSITION_TOLERANCE = np.array([PAD_HALF_WIDTH, PAD_HALF_WIDTH, _HEIGHT_TOLERANCE])
 _POSITIONS = tuple(map(_GOALS.columns, _FIELDS))
 assert _HEIGHT_TOLERANCE < PAD_LOWEST
 
@@ -95,7 +93,7 @@ class DoubleSidedPlacement(PlacingTask):
     """The task of `smp_gym/DoubleSidedPlacement-v0`.
 
     Success: the object's centre is over one of the pads, as high as if it lay there, the hand is
-    off it, it has come to rest, and nothing collided on the way.
+    off it, it has come to rest, and nothing has collided in the episode.
     """
 
     name: str = "DoubleSidedPlacement"
@@ -103,7 +101,7 @@ class DoubleSidedPlacement(PlacingTask):
     support: ClassVar[str] = "pad"
     goal_count: ClassVar[int] = 2
     goals: ClassVar[GoalCodec] = _GOALS
-    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
+    object_in_hand: ClassVar[AnyFloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -129,8 +127,8 @@ class DoubleSidedPlacement(PlacingTask):
         """
         return {**dict.fromkeys(_FIELDS, status.object_position), **self._flags(status)}
 
-    def reached(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Return on which of the `SIDES` goals are reached.
+    def reached(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
+        """Return a mask over `SIDES` of reached goals.
 
         Args:
             achieved: (..., 9) achieved goals.
@@ -141,26 +139,26 @@ class DoubleSidedPlacement(PlacingTask):
             height), the demanded flags are up and nothing collided.
         """
         near = [
-            (np.abs(achieved[..., at] - desired[..., at]) <= _TOLERANCE).all(axis=-1)
+            (np.abs(achieved[..., at] - desired[..., at]) <= _POSITION_TOLERANCE).all(axis=-1)
             for at in _POSITIONS
         ]
         there = np.stack(near, axis=-1)
         # Most of an episode is far from its goals.
         return there & self._let_go(achieved, desired)[..., None] if there.any() else there
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., 9) are reached on either side, (...)."""
         return np.asarray(self.reached(achieved, desired).any(axis=-1))
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the object's distance from the nearer of its places, 20 per metre."""
         distances = [
             np.linalg.norm(achieved[..., at] - desired[..., at], axis=-1) for at in _POSITIONS
         ]
         return -POTENTIAL_PER_METRE * np.minimum(*distances)
 
-    def details(self, achieved: FloatArray, desired: FloatArray) -> dict[str, Any]:
-        """Return ``side``: where the object was placed, "left" or "right", or "" if it was not."""
+    def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
+        """Return ``side``: "left" or "right", the pad of the object, or "" if it is on neither."""
         reached = self.reached(achieved, desired)
         return {"side": SIDES[int(reached.argmax())] if reached.any() else ""}
 

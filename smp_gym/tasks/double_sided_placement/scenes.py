@@ -34,7 +34,7 @@ _GOAL_CLEARANCE = 0.01
 
 _FREE_SHARES = {"none": 1.0, "easy": 0.015, "medium": 0.0, "hard": 0.0}
 _CLOSED = ("hard",)
-"""Which share of the proposals for each pad may stay free, and at which difficulties the other side
+"""Share of the proposals for each pad that may stay free, and difficulties at which the other side
 is closed off: its only obstacle stands on the pad and leaves no room there."""
 
 _STOPPER_HALF_EXTENTS = (0.05, 0.06)
@@ -45,7 +45,7 @@ _PROPOSALS = 168
 """To each pad: two goals are two chances to get through, so each has to be blocked more surely."""
 
 _SIDE_DRAWS = 6
-"""How many families are tried on the second of two furnished sides."""
+"""Number of families tried on the second of two furnished sides."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -85,7 +85,7 @@ def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
 def _specifications(
     difficulty: str,
 ) -> tuple[DifficultySpecification, DifficultySpecification | None]:
-    """Return what a difficulty means for the one and the other side; None if that is closed off."""
+    """Return a difficulty's settings for the one and the other side; None if that is closed off."""
     one = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
     return one, None if difficulty in _CLOSED else one
 

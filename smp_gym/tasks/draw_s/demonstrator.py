@@ -29,7 +29,7 @@ __all__ = ["demonstrate"]
 _TASK = "DrawS"
 _SEED = 0
 
-_SCALE = 9.0
+_SHEET_SCALE = 9.0
 """Metres on the sheet per metre of handwriting."""
 
 _LEAN = np.radians(65.0)
@@ -57,7 +57,7 @@ _DURATION = (10.5, 12.5)
 
 def _on_sheet(letter: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return a letter (M, 2) m in three dimensions, (M, 3) m."""
-    along, up = _SCALE * (letter[:, 0] - _MIDDLE), _SCALE * letter[:, 1]
+    along, up = _SHEET_SCALE * (letter[:, 0] - _MIDDLE), _SHEET_SCALE * letter[:, 1]
     bulge = rng.normal(0.0, _BULGE) * np.sin(np.pi * up / up.max())
     radius = _LOWER_EDGE[0] + np.cos(_LEAN) * up + np.sin(_LEAN) * bulge
     height = _LOWER_EDGE[1] + np.sin(_LEAN) * up - np.cos(_LEAN) * bulge

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.pen import PEN_POSE
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
@@ -29,13 +29,11 @@ __all__ = [
     "passed_in_order",
 ]
 
-FloatArray = NDArray[np.floating[Any]]
-
 CHECKPOINT_TOLERANCE = 0.04
-"""Metres: how near to a checkpoint the pen must come to have passed it."""
+"""Metres: distance of the pen from a checkpoint up to which it passes it."""
 
 END_TOLERANCE = 0.025
-"""Metres: how near to the end of the stroke the pen must be when the S is done."""
+"""Metres: distance of the pen from the end of the stroke up to which the S is done."""
 
 COVERED_DISTANCE = 0.06
 """Metres: a checkpoint nearer than this to an obstacle's surface, or inside it, is covered: the pen
@@ -46,13 +44,13 @@ _SUBDIVISION = 3
 
 
 def _encode(scene: Scene) -> dict[str, Any]:
-    """Return the desired goal: the stroke, and which of its checkpoints the pen must pass."""
+    """Return the desired goal: the stroke, and flags of the checkpoints that the pen must pass."""
     stroke = scene.goals[0]
     demanded = [float(flag) for flag in stroke.demanded]
     return {"stroke": np.ravel(stroke.checkpoints), "demanded": demanded, "collided": 0.0}
 
 
-def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: AnyFloatArray) -> tuple[Goal, ...]:
     if desired["demanded"][-1] != 1.0:
         raise ValueError("demand the stroke's end")
     points = tuple((x, y, z) for x, y, z in desired["stroke"].reshape(-1, 3).tolist())
@@ -74,8 +72,8 @@ _END = slice(_STROKE.stop - 3, _STROKE.stop)
 _DEMANDED = _GOALS.columns("demanded")
 
 
-def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
-    """Return `count` points at equal steps of the arc of a line.
+def equal_arc(line: AnyFloatArray, count: int = STROKE_POINTS) -> NDArray[np.float64]:
+    """Return `count` points of a line at equal steps of arc length.
 
     Args:
         line: (M, 3) m, at least one point; where it has no length, its last point is repeated.
@@ -87,15 +85,15 @@ def equal_arc(line: FloatArray, count: int = STROKE_POINTS) -> NDArray[np.float6
     return stroke_kernels.equal_arc(np.ascontiguousarray(line, np.float64), count)
 
 
-def covered(points: FloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
-    """Return which points (N, 3) lie nearer than `COVERED_DISTANCE` to one of the obstacles."""
+def covered(points: AnyFloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:
+    """Return a mask (N,) of points nearer than `COVERED_DISTANCE` to an obstacle."""
     return np.asarray(signed_distance(points, obstacles) < COVERED_DISTANCE)
 
 
 def passed_in_order(
-    trace: FloatArray, checkpoints: FloatArray, demanded: FloatArray
+    trace: AnyFloatArray, checkpoints: AnyFloatArray, demanded: AnyFloatArray
 ) -> NDArray[np.int64]:
-    """Return how far along a stroke a trace has come.
+    """Return the progress of a trace along a stroke.
 
     The trace is taken as the line through its points. A checkpoint counts as passed where the line
     comes within `CHECKPOINT_TOLERANCE` of it, not before the place where the previous demanded one
@@ -121,7 +119,7 @@ def passed_in_order(
     return np.asarray(reached.reshape(shape))
 
 
-def _batch(values: FloatArray, shape: tuple[int, ...], axes: int) -> NDArray[np.float64]:
+def _batch(values: AnyFloatArray, shape: tuple[int, ...], axes: int) -> NDArray[np.float64]:
     """Return (..., A...) values, broadcast to a shape, as contiguous (B, A...)."""
     own = values.shape[values.ndim - axes :]
     return np.ascontiguousarray(np.broadcast_to(values, shape + own).reshape(-1, *own), np.float64)
@@ -139,7 +137,7 @@ class DrawS(CommonRules):
     name: str = "DrawS"
 
     goals: ClassVar[GoalCodec] = _GOALS
-    object_in_hand: ClassVar[FloatArray] = PEN_POSE
+    object_in_hand: ClassVar[AnyFloatArray] = PEN_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -162,7 +160,7 @@ class DrawS(CommonRules):
             "collided": float(status.collided),
         }
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals are reached.
 
         Args:
@@ -184,7 +182,7 @@ class DrawS(CommonRules):
         ended[ended] = reached == STROKE_POINTS
         return ended
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the length that is left of the stroke, (...), 20 per metre.
 
         It is the distance of the pen to the next demanded checkpoint, and from there the length of
@@ -202,12 +200,12 @@ class DrawS(CommonRules):
         return np.asarray(-POTENTIAL_PER_METRE * (distance + remaining))
 
 
-def _points(goals: FloatArray) -> FloatArray:
+def _points(goals: AnyFloatArray) -> AnyFloatArray:
     """Return the points (..., N, 3) of goals (..., 129)."""
     return goals[..., _STROKE].reshape(*goals.shape[:-1], STROKE_POINTS, 3)
 
 
-def _reached(achieved: FloatArray, desired: FloatArray) -> NDArray[np.int64]:
+def _reached(achieved: AnyFloatArray, desired: AnyFloatArray) -> NDArray[np.int64]:
     return passed_in_order(_points(achieved), _points(desired), desired[..., _DEMANDED])
 
 

@@ -51,14 +51,14 @@ __all__ = ["SAMPLER"]
 _BUMPS = {"easy": 2, "medium": 3, "hard": 3}
 """Bumps of a witness by difficulty."""
 
-_SAMPLES = 32
-_FAMILY = 64
+_COMPARED_SAMPLES = 32
+_COMPARED_TRAJECTORIES = 64
 """Samples of the trajectories that obstacles are compared by, and number of these trajectories."""
 
 _ON_STROKE = 48
 _BESIDE = 96
 _OFF_STROKE = (0.015, 0.08)
-_DEPTH = 0.015
+_LEAST_ENTRY = 0.015
 """Obstacles to choose from, at each bump on the stroke and beside it; the standard deviation of how
 far the ones and the others stand off it (m), and how deep at least it enters the ones (m)."""
 
@@ -76,7 +76,7 @@ _SLACK = 0.005
 
 _MAX_BUMPS = 16
 _MAX_WITNESSES = 12
-"""How often a bump is drawn, and how many witnesses for a stroke."""
+"""Most attempts at a bump, and at a witness for a stroke."""
 
 
 def _draw_rows(
@@ -128,7 +128,7 @@ def _draw_on_stroke(
     phase = center + rng.uniform(-reach, reach, len(aside))
     rows = _draw_rows(body, stroke, phase, aside, _OFF_STROKE[0], rng)
     line, thin = stroke.line[::2, None], np.full(1, kinematics.PEN_RADIUS)
-    return rows[kernels.path_clearances(line, thin, rows, 1.0) <= -_DEPTH]
+    return rows[kernels.path_clearances(line, thin, rows, 1.0) <= -_LEAST_ENTRY]
 
 
 def _draw_beside(
@@ -140,7 +140,7 @@ def _draw_beside(
 
 
 def _missed(stroke: Stroke, trajectory: FloatArray) -> BoolArray:
-    """Return which checkpoints (32,) the pen misses on a trajectory (T, 6) rad."""
+    """Return a mask (32,) of checkpoints that the pen misses on a trajectory (T, 6) rad."""
     points = np.zeros((len(stroke.checkpoints), kernels.OBSTACLE_COLUMNS))
     points[:, 0] = SHAPES.index("sphere")
     points[:, 1:4] = stroke.checkpoints
@@ -149,7 +149,7 @@ def _missed(stroke: Stroke, trajectory: FloatArray) -> BoolArray:
 
 
 def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
-    """Return (M, 32), which checkpoints each obstacle covers."""
+    """Return a mask (M, 32) of the checkpoints that obstacles cover."""
     distance = kernels.point_distances(stroke.checkpoints, rows)
     return np.asarray(distance < draw_s.COVERED_DISTANCE)
 
@@ -157,7 +157,7 @@ def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
 def _keeps_clear(
     body: MovingBody, trajectory: FloatArray, rows: FloatArray, enough: float
 ) -> BoolArray:
-    """Return from which obstacles (M,) every other sample of a trajectory keeps a distance."""
+    """Return a mask (M,) of obstacles that every other sample of a trajectory clears."""
     kept = np.ones(len(rows), np.bool_)
     # A glance at few samples spares the close look at most.
     for stride in (20, 2):
@@ -219,9 +219,11 @@ def _draw_bumpy(
 
 def _grid(body: MovingBody, stroke: Stroke, bumps: int, rng: np.random.Generator) -> Grid:
     """Return the grid of trajectories along a stroke, the first without bumps."""
-    aside = lead_aside(stroke, sample_centers(_FAMILY - 1, bumps, rng), rng)
-    trajectories = np.repeat(resample(stroke.trajectory[None], _SAMPLES), _FAMILY, axis=0)
-    trajectories[1:] += aside.along(np.linspace(0.0, 1.0, _SAMPLES))
+    aside = lead_aside(stroke, sample_centers(_COMPARED_TRAJECTORIES - 1, bumps, rng), rng)
+    trajectories = np.repeat(
+        resample(stroke.trajectory[None], _COMPARED_SAMPLES), _COMPARED_TRAJECTORIES, axis=0
+    )
+    trajectories[1:] += aside.along(np.linspace(0.0, 1.0, _COMPARED_SAMPLES))
     return rasterise(body.paths(trajectories, body.swept), body.spheres.radius[body.swept])
 
 
@@ -288,7 +290,7 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
         chosen = _choose(
             found.rows,
             found.bump,
-            near(grid, found.rows, -BLOCKING_DEPTH, _FAMILY),
+            near(grid, found.rows, -BLOCKING_DEPTH, _COMPARED_TRAJECTORIES),
             _covered(stroke, found.rows),
             _missed(stroke, found.trajectory),
             bumps,
@@ -335,7 +337,7 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     # Every trajectory ends where this one does.
     clear = body.clearances(stroke.trajectory[-1:], rows, START_CLEARANCE) >= START_CLEARANCE
     rows, bump = rows[clear], bump[clear]
-    blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _FAMILY)
+    blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _COMPARED_TRAJECTORIES)
     covers = _covered(stroke, rows)
     nothing = np.zeros(covers.shape[1], np.bool_)
     count = SPECIFICATIONS[difficulty].obstacles

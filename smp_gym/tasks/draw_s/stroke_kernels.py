@@ -1,4 +1,4 @@
-"""Compiled rules of strokes: a line at equal steps of its arc, and how far along one it has come.
+"""Compiled rules of strokes: resampling at equal arc length, and progress along a stroke.
 
 The arrays are contiguous float64; all lengths are metres. `smp_gym.tasks.draw_s.rules` says what
 the rules mean.
@@ -11,16 +11,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 
 __all__ = ["equal_arc", "passed_in_order"]
 
-Array = NDArray[np.float64]
-
 
 @kernel
-def equal_arc(line: Array, count: int) -> Array:
-    """Return `count` points at equal steps of the arc of a line.
+def equal_arc(line: FloatArray, count: int) -> FloatArray:
+    """Return `count` points of a line at equal steps of arc length.
 
     Args:
         line: (M, 3), at least one point; where it has no length, its last point is repeated.
@@ -55,9 +54,13 @@ def equal_arc(line: Array, count: int) -> Array:
 
 @kernel
 def passed_in_order(
-    traces: Array, checkpoints: Array, demanded: Array, tolerance: float, subdivision: int
+    traces: FloatArray,
+    checkpoints: FloatArray,
+    demanded: FloatArray,
+    tolerance: float,
+    subdivision: int,
 ) -> NDArray[np.int64]:
-    """Return how far along their strokes traces have come.
+    """Return the progress of traces along their strokes.
 
     Args:
         traces: (B, N, 3).

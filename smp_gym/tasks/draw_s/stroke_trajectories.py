@@ -41,10 +41,10 @@ SCALE = (0.85, 1.15)
 """Size of the S, the demonstrated being 1."""
 
 YAW = 0.3
-"""Rad, largest turn of the S about the vertical through its end, either way."""
+"""Rad, largest turn of the S about the vertical through its end, in either direction."""
 
 START_SHIFT = 0.02
-"""Metres, how far from the beginning of the stroke the pen may start, at most."""
+"""Metres, largest distance of the pen's start from the beginning of the stroke."""
 
 PHASES = np.linspace(0.0, 1.0, WITNESS_SAMPLES)
 PHASES.setflags(write=False)
@@ -161,14 +161,14 @@ class Bumps:
     top: FloatArray
 
     def along(self, phase: FloatArray) -> FloatArray:
-        """Return (N, T, 6) rad, what the bumps add at phases (T,)."""
+        """Return the offsets (N, T, 6) rad of the bumps at phases (T,)."""
         part = (phase - self.center[..., None]) / self.half_width[..., None]
         shape = np.maximum(1.0 - part**2, 0.0) ** 3
         return np.einsum("nbt,nbj->ntj", shape, self.top)
 
 
 def sample_centers(count: int, bumps: int, rng: np.random.Generator) -> FloatArray:
-    """Draw in which phases the bumps of `count` trajectories have their middles, (count, bumps)."""
+    """Draw the middle phases (count, bumps) of the bumps of `count` trajectories."""
     first, last = _BUMP_REGION
     free = last - first - (bumps - 1) * _BUMP_SPACING
     center = np.sort(rng.uniform(0.0, free, (count, bumps)), axis=1)

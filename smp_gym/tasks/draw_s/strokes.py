@@ -25,7 +25,7 @@ _SMALLEST_STEP = 1e-4
 
 
 def moved(points: FloatArray, end: Sequence[float], scale: float, yaw: float) -> FloatArray:
-    """Return a stroke scaled and turned about its end, which comes to lie elsewhere.
+    """Return a stroke scaled and turned about its end, and shifted.
 
     Args:
         points: (..., N, 3) m.

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.robot.kinematics import GRASP_CENTER
 from smp_gym.scene import BIN_HEIGHT, BIN_INNER_HALF_WIDTH, Goal, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE
@@ -30,13 +30,11 @@ __all__ = [
     "Placement",
 ]
 
-FloatArray = NDArray[np.floating[Any]]
-
 START_CONFIGURATION = (-0.78, 3.53, 0.9813, 0.0568, 2.6632, -0.0361)
 """Joint angles at the start, rad: the object at (0.42, -0.40, 0.26) m, the hand 29 degrees down."""
 
 NOMINAL_BIN = (0.52, 0.32, 0.01)
-"""Where the demonstrations find the bin: centre of its floor's top, m (`Goal.position`)."""
+"""Place of the bin in the demonstrations: centre of its floor's top, m (`Goal.position`)."""
 
 BIN_LOWER = (0.44, 0.22, 0.01)
 BIN_UPPER = (0.60, 0.42, 0.01)
@@ -61,7 +59,7 @@ def _encode(scene: Scene) -> dict[str, Any]:
     return {"object_position": resting_place(scene, 0), **SET_DOWN}
 
 
-def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: AnyFloatArray) -> tuple[Goal, ...]:
     x, y, z = desired["object_position"].tolist()
     return (Goal(position=(x, y, z - float(size[2]))),)
 
@@ -70,7 +68,7 @@ _GOALS = GoalCodec((position("object_position"), *PLACING_FLAGS), _encode, _deco
 
 _HEIGHT_TOLERANCE = 0.05
 _POSITION = _GOALS.columns("object_position")
-_TOLERANCE = np.array([BIN_INNER_HALF_WIDTH, BIN_INNER_HALF_WIDTH, _HEIGHT_TOLERANCE])
+_POSITION_TOLERANCE = np.array([BIN_INNER_HALF_WIDTH, BIN_INNER_HALF_WIDTH, _HEIGHT_TOLERANCE])
 assert _HEIGHT_TOLERANCE < BIN_HEIGHT - 0.03
 
 
@@ -79,7 +77,7 @@ class Placement(PlacingTask):
     """The task of `smp_gym/Placement-v0`.
 
     Success: the object's centre is within the bin's inner walls and below the rim, the hand is off
-    it, it has come to rest, and nothing collided on the way.
+    it, it has come to rest, and nothing has collided in the episode.
     """
 
     name: str = "Placement"
@@ -87,13 +85,13 @@ class Placement(PlacingTask):
     support: ClassVar[str] = "bin"
     goal_count: ClassVar[int] = 1
     goals: ClassVar[GoalCodec] = _GOALS
-    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
+    object_in_hand: ClassVar[AnyFloatArray] = HELD_OBJECT_POSE
 
     def achieved_goal(self, status: Status) -> dict[str, Any]:
         """Return the values of the achieved goal by field name."""
         return {"object_position": status.object_position, **self._flags(status)}
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals are reached.
 
         Args:
@@ -105,11 +103,11 @@ class Placement(PlacingTask):
             height), the demanded flags are up and nothing collided.
         """
         offset = np.abs(achieved[..., _POSITION] - desired[..., _POSITION])
-        near = np.asarray((offset <= _TOLERANCE).all(axis=-1))
+        near = np.asarray((offset <= _POSITION_TOLERANCE).all(axis=-1))
         # Most of an episode is far from its goal.
         return np.asarray(near & self._let_go(achieved, desired)) if near.any() else near
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the object's distance from its place, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return -POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1)

@@ -1,4 +1,4 @@
-"""PushLiftBox: push a box, grasp it on the way and lift it."""
+"""PushLiftBox: push a box, grasp it and lift it."""
 
 from smp_gym.tasks.definition import TaskDefinition
 

@@ -27,8 +27,8 @@ _CANDIDATES = 500
 _COMPARED = 240
 _PAIRED = 100
 SPARE = 5
-"""How many candidates are drawn, how many of the most blocking are compared, how many in pairs; and
-how many members have to be clear of all chosen: the grid is coarse, not all of them will be."""
+"""Numbers: of candidates drawn, of the most blocking that are compared, of those compared in pairs;
+and of members that have to be clear of all chosen: the grid is coarse, not all of them will be."""
 
 
 def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> FloatArray:
@@ -49,7 +49,7 @@ def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator
 
 @kernel
 def _common(a: Words, b: Words) -> np.int64:
-    """Return how many bits are set in both."""
+    """Return the number of bits that are set in both."""
     count = np.int64(0)
     for w in range(len(a)):
         count += ones(a[w] & b[w])
@@ -93,7 +93,7 @@ def _best_pair(
 
 @dataclass(frozen=True, eq=False)
 class LegCandidates:
-    """Candidates, the most blocking first, as far as they leave somebody clear on both legs.
+    """Candidates, the most blocking first, that leave a member clear on both legs.
 
     Attributes:
         rows: (C, 9).
@@ -111,7 +111,7 @@ class LegCandidates:
 def compare_on_legs(
     rows: FloatArray, families: tuple[LegFamily, LegFamily], clearance: float
 ) -> LegCandidates:
-    """Return how candidates (C, 9) compare on two legs, the most blocking of them."""
+    """Return the most blocking candidates of (C, 9), compared on two legs."""
     blocks = [family.blocks(rows) for family in families]
     clears = [family.clears(rows, clearance) for family in families]
     free = [int(family.free.sum()) for family in families]

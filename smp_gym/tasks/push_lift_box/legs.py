@@ -1,4 +1,4 @@
-"""Legs: stretches of a trajectory between two rests, varied independently of each other.
+"""Legs: segments of a trajectory between two rests, varied independently of each other.
 
 Where a trajectory must pass through certain configurations, what leads there and what follows can
 be combined at will: N members of one leg and M of the next make N times M trajectories.
@@ -100,11 +100,11 @@ class LegFamily:
     Attributes:
         leg: on which they are.
         members: N, the first of them the mean of the proposals.
-        proposals: P, how many, from the first, a primitive would propose.
+        proposals: P, number of the first members, those that a primitive would propose.
         paths: (N, U, S, 3) m, centres of the outline's spheres at every `leg.stride`-th sample.
-        grid: which members pass which grid points.
-        free: (P,) which proposals the table leaves free.
-        able: (N,) which members may serve as witness, as far as seen from these samples.
+        grid: occupancy of its points by the members.
+        free: (P,) mask of the proposals that the table leaves free.
+        able: (N,) mask of the members that may serve as witness, judged by these samples.
     """
 
     leg: Leg
@@ -116,11 +116,11 @@ class LegFamily:
     able: BoolArray
 
     def blocks(self, rows: FloatArray) -> BoolArray:
-        """Return (C, P), which obstacles block which proposals that were free, by the grid."""
+        """Return a mask (C, P) of the free proposals that obstacles block, by the grid."""
         return near(self.grid, rows, -BLOCKING_DEPTH, self.proposals) & self.free
 
     def clears(self, rows: FloatArray, clearance: float) -> BoolArray:
-        """Return (C, N), which obstacles keep a clearance (m) from which able, by the grid."""
+        """Return a mask (C, N) of feasible members that keep a clearance (m), by the grid."""
         return ~near(self.grid, rows, clearance, len(self.able)) & self.able
 
 
@@ -147,7 +147,7 @@ def free_paths(leg: Leg, members: Members) -> FloatArray:
 
 
 def left_free(leg: Leg, paths: FloatArray, rows: FloatArray) -> BoolArray:
-    """Return which paths, from `free_paths`, obstacles leave free, (N,), without the grid."""
+    """Return a mask (N,) of `free_paths` that obstacles leave free, without the grid."""
     radius = leg.spheres.radius[leg.swept]
     free: BoolArray = np.logical_not(
         kernels.blocked_paths(paths, radius, rows, BLOCKING_DEPTH).any(axis=0)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.scene import Goal, ManipulatedObject, Scene
 from smp_gym.tasks.common import POTENTIAL_PER_METRE, CommonRules
 from smp_gym.tasks.goals import GoalCodec, flag, position
@@ -31,12 +31,10 @@ __all__ = [
     "TARGET_BEARING",
     "TARGET_HEIGHT",
     "TARGET_RADIUS",
-    "TOLERANCE",
+    "TARGET_TOLERANCE",
     "PushLiftBox",
     "push_poses",
 ]
-
-FloatArray = NDArray[np.floating[Any]]
 
 HAND_HEIGHT = 0.045
 """Height of the end effector above the table while it pushes, m."""
@@ -44,18 +42,18 @@ HAND_HEIGHT = 0.045
 HAND_TILT = float(np.radians(20.0))
 """Angle of the approach direction below the horizontal while it pushes, rad."""
 
-TOLERANCE = 0.03
+TARGET_TOLERANCE = 0.03
 """Distance of the box's centre from its target up to which it is there, m."""
 
 OBJECT_BEHIND = 0.0116
-"""How far the box's centre is behind the end effector while the palm pushes it, horizontally, m."""
+"""Horizontal distance of the box's centre behind the end effector while the palm pushes it, m."""
 
 
 PUSH_FROM = 0.075
-"""How far behind the box's centre the end effector is when the push begins, horizontally, m."""
+"""Horizontal distance of the end effector behind the box's centre when the push begins, m."""
 
 PUSH_LENGTH = 0.06
-"""How far the box is pushed, m."""
+"""Length of the push, m."""
 
 START_CONFIGURATION = (-0.522, 3.426, 0.568, 0.056, 2.204, -0.017)
 START_SPREAD = (0.25, 0.12, 0.15, 0.1, 0.15, 0.1)
@@ -64,13 +62,13 @@ START_SPREAD = (0.25, 0.12, 0.15, 0.1, 0.15, 0.1)
 BOX_RADIUS = (0.47, 0.55)
 BOX_BEARING = (-0.5, 0.0)
 BOX_TURN = 0.15
-"""Where the box stands: distance from the base's axis (m), bearing as seen from there (rad), and
-largest turn of the box away from that bearing (rad)."""
+"""Region in which the box stands: distance from the base's axis (m), bearing as seen from there
+(rad), and largest turn of the box away from that bearing (rad)."""
 
 TARGET_RADIUS = (0.42, 0.52)
 TARGET_BEARING = (0.35, 0.75)
 TARGET_HEIGHT = (0.26, 0.38)
-"""Where the target is: distance from the base's axis (m), bearing (rad), height (m)."""
+"""Region of the target: distance from the base's axis (m), bearing (rad), height (m)."""
 
 HELD_OBJECT_POSE = np.eye(4)
 """(4, 4) nominal pose of the box in the end-effector frame, once the fingers have closed on it: the
@@ -93,7 +91,7 @@ def _encode(scene: Scene) -> dict[str, Any]:
     return {"object_position": scene.goals[0].position, "collided": 0.0, "held": 1.0}
 
 
-def _decode(desired: Mapping[str, NDArray[np.float64]], size: FloatArray) -> tuple[Goal, ...]:
+def _decode(desired: Mapping[str, NDArray[np.float64]], size: AnyFloatArray) -> tuple[Goal, ...]:
     x, y, z = desired["object_position"].tolist()
     return (Goal(kind="lift", position=(x, y, z)),)
 
@@ -106,7 +104,7 @@ _HELD = _GOALS.columns("held").start
 _CONTACTS = frozenset({("hand", "hand"), ("hand", "object"), ("object", "table")})
 
 
-def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArray:
+def push_poses(position: AnyFloatArray, yaw: float, shares: AnyFloatArray) -> AnyFloatArray:
     """Return the end-effector poses (N, 4, 4) of a straight push along the box's own x axis.
 
     Args:
@@ -129,15 +127,15 @@ def push_poses(position: FloatArray, yaw: float, shares: FloatArray) -> FloatArr
 class PushLiftBox(CommonRules):
     """The task of `smp_gym/PushLiftBox-v0`.
 
-    Success: the box's centre is within `TOLERANCE` of the target, the hand grips it, and nothing
-    collided on the way. The hand may touch the box as it likes, and the box the table; the hand may
-    not touch the table.
+    Success: the box's centre is within `TARGET_TOLERANCE` of the target, the hand grips it, and
+    nothing has collided in the episode. The hand may touch the box as it likes, and the box the
+    table; the hand may not touch the table.
     """
 
     name: str = "PushLiftBox"
 
     goals: ClassVar[GoalCodec] = _GOALS
-    object_in_hand: ClassVar[FloatArray] = HELD_OBJECT_POSE
+    object_in_hand: ClassVar[AnyFloatArray] = HELD_OBJECT_POSE
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ValueError if an episode of this task cannot be played in the scene."""
@@ -156,10 +154,10 @@ class PushLiftBox(CommonRules):
         if len(scene.goals) != 1 or scene.goals[0].kind != "lift":
             kinds = [goal.kind for goal in scene.goals]
             raise ValueError(f"scene.goals must hold one goal of kind 'lift', got {kinds}")
-        if scene.goals[0].position[2] < half + TOLERANCE:
+        if scene.goals[0].position[2] < half + TARGET_TOLERANCE:
             raise ValueError(
-                f"the target must be at least {half + TOLERANCE} m above the table, so that the "
-                f"box must be lifted; got {scene.goals[0].position[2]}"
+                f"the target must be at least {half + TARGET_TOLERANCE} m above the table, so that "
+                f"the box must be lifted; got {scene.goals[0].position[2]}"
             )
 
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
@@ -174,14 +172,14 @@ class PushLiftBox(CommonRules):
             "held": float(status.held),
         }
 
-    def success(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+    def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return whether goals (..., 5) are reached, (...)."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
-        near: BoolArray = np.sqrt((offset * offset).sum(axis=-1)) <= TOLERANCE
+        near: BoolArray = np.sqrt((offset * offset).sum(axis=-1)) <= TARGET_TOLERANCE
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 
-    def potential(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+    def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the box's distance from its target, (...), 20 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return np.asarray(-POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1))

@@ -47,11 +47,11 @@ from smp_gym.tasks.push_lift_box.legs import (
 __all__ = ["SAMPLER"]
 
 _FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
-"""Which share of the trajectories may stay free of obstacles."""
+"""Share of the trajectories that may stay free of obstacles, by difficulty."""
 
 _PROPOSALS = 48
 _TRIALS = 48
-_WIDE = 64
+_WIDE_MEMBERS = 64
 _ALONE = 8
 """Members of a leg: that obstacles are chosen by, fresh ones that the choice is tried on, and wider
 ones that may serve as witness; and members where there are no obstacles."""
@@ -65,7 +65,7 @@ about the demonstrated one: what a primitive leaves open, and what a witness may
 
 _CANDIDATE_SETS = 3
 _MAX_CHOICES = 4
-"""How many sets of candidates are tried with a pair of families, how many choices with a set."""
+"""Numbers of sets of candidates tried with a pair of families, and of choices tried with a set."""
 
 _PUSH_KNOTS = 5
 """Configurations along a push for which inverse kinematics is solved; between them it is
@@ -93,7 +93,7 @@ _TABLE_ROWS = np.array([to_row(TABLE)])
 
 @dataclass(frozen=True, eq=False)
 class _Movement:
-    """What the demonstrations show, built once per process.
+    """The demonstrated movement in its three parts, built once per process.
 
     Attributes:
         approach: to behind the box.
@@ -115,7 +115,7 @@ class _Movement:
 
 
 def _outline(spheres: kinematics.SphereSet, which: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return some of the given spheres: the greatest, with room between those of the same link."""
+    """Return a subset of the given spheres: the greatest, with room between those of a link."""
     kept: list[int] = []
     for index in which[np.argsort(-spheres.radius[which], kind="stable")]:
         others = [k for k in kept if spheres.link[k] == spheres.link[index]]
@@ -194,7 +194,7 @@ def _push(movement: _Movement, box: ManipulatedObject) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Episode:
-    """What is to be done: (6,) start, the box, (T, 6) its push, the goal."""
+    """The query of one episode: (6,) start, the box, (T, 6) its push, the goal."""
 
     start: FloatArray
     box: ManipulatedObject
@@ -353,7 +353,7 @@ def _draw_scene(difficulty: str, rng: np.random.Generator, *, witnessed: bool) -
     specification = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
     episode = _Episode(start, box, _push(_movement(), box), goal)
     crowd = specification.obstacles > 0
-    families = episode.families(*((_PROPOSALS, _WIDE) if crowd else (_ALONE, 0)), rng)
+    families = episode.families(*((_PROPOSALS, _WIDE_MEMBERS) if crowd else (_ALONE, 0)), rng)
     if not (families[0].free[0] and families[1].free[0]):
         return None
     none = np.empty((0, kernels.OBSTACLE_COLUMNS))

@@ -26,7 +26,7 @@ from smp_gym.tasks.push_lift_box.rules import (
     TARGET_BEARING,
     TARGET_HEIGHT,
     TARGET_RADIUS,
-    TOLERANCE,
+    TARGET_TOLERANCE,
     PushLiftBox,
     push_poses,
 )
@@ -71,9 +71,9 @@ def shipped():
     ("achieved", "reached"),
     [
         (goal(), True),
-        (goal((0.0, 0.9 * TOLERANCE, 0.0)), True),
-        (goal((0.0, 1.1 * TOLERANCE, 0.0)), False),
-        (goal((0.6 * TOLERANCE,) * 3), False),
+        (goal((0.0, 0.9 * TARGET_TOLERANCE, 0.0)), True),
+        (goal((0.0, 1.1 * TARGET_TOLERANCE, 0.0)), False),
+        (goal((0.6 * TARGET_TOLERANCE,) * 3), False),
         (goal(held=0.0), False),
         (goal(collided=1.0), False),
     ],
