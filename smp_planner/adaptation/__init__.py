@@ -1,4 +1,4 @@
-"""How a primitive is adapted to what it has not seen: SVGD, and the paper's baselines.
+"""Methods of adapting a primitive to new scenes: SVGD, and the paper's baselines.
 
 An adaptation is a function and its settings, data. It knows trajectories and their costs only, no
 arm and no scene.

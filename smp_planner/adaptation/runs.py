@@ -1,4 +1,4 @@
-"""What an adaptation works on: B runs of particles, their paths, and the target's gradient."""
+"""State of an adaptation: B runs of particles, their paths, and the target's gradient."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long the planner's costs take: compiled with analytic gradients against autograd."""
+"""Run time of the planner's costs: compiled with analytic gradients against autograd."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ WARM_UP_SEED = 0
 
 @dataclass(frozen=True, order=True)
 class EpisodeKey:
-    """What identifies an episode of a method.
+    """Identifier of an episode of a method.
 
     Attributes:
         task: name of the task, one of `smp_gym.scene.TASKS`.
@@ -62,7 +62,7 @@ class EpisodeKey:
 
 @dataclass(frozen=True)
 class EpisodeRow:
-    """What is kept of one episode.
+    """Record of one episode.
 
     All but the times at the end depends on the key alone. ``None`` stands where a method has no
     particles.
@@ -127,7 +127,7 @@ class EpisodeRow:
 
     @property
     def key(self) -> EpisodeKey:
-        """Which episode this is."""
+        """Identifier of the episode."""
         return EpisodeKey(
             self.task, self.method, self.difficulty, self.seed, self.half, self.family
         )

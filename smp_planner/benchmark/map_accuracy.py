@@ -1,4 +1,4 @@
-"""How well the default occupancy map, baked as planners use it, tells occupied from free."""
+"""Accuracy of the default occupancy map, baked as planners use it, in occupied and free space."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How exact the occupancy maps are and how long they take, side by side on random scenes."""
+"""Comparison of the occupancy maps on random scenes: accuracy and run time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LABELLED, INFLATION = 100_000, 0.02
 
 @dataclass
 class Record:
-    """What was measured of one map, an entry for each scene.
+    """Measurements of one map, an entry for each scene.
 
     Attributes:
         seconds: that it took to make.

@@ -72,7 +72,7 @@ class Metrics:
 
 @dataclass(frozen=True)
 class SuccessRates:
-    """How many succeed, counted in two ways, from `success_rates`.
+    """Success rates of trajectories and of their waypoints; see `success_rates`.
 
     Attributes:
         trajectories: share of trajectories that reach the goal and are free at all waypoints.

@@ -1,4 +1,4 @@
-"""What command lines share: lists of names, seeds, progress bars and pools of workers."""
+"""Shared parts of command lines: lists of names, seeds, progress bars and pools of workers."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class KeyedRow(Protocol):
 
     @property
     def key(self) -> Any:
-        """Which piece of work it is."""
+        """Identifier of the piece of work."""
         ...
 
 

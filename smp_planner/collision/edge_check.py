@@ -1,4 +1,4 @@
-"""Whether configurations and straight edges between them are free, at the speed of a tree search.
+"""Collision check of configurations and of straight edges between them, for tree searches.
 
 The same geometry and the same bound as `smp_planner.collision.verification`, for the question that
 a search asks ten thousand times: not how near a path comes, but whether it keeps a given distance.

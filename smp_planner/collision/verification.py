@@ -54,7 +54,7 @@ _NO_GRID = np.empty((0, 0, 0), np.float32), np.zeros(3), 1.0, 1.0
 
 @dataclass(frozen=True)
 class CollisionCheck:
-    """What the check against obstacles and the arm itself found, for P trajectories.
+    """Results of the check of P trajectories against obstacles and the arm itself.
 
     Attributes:
         clearance: (P,) m, least distance of a sphere to an obstacle, negative inside; infinity

@@ -39,7 +39,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "cyclic annealing": {"inference": "cyclic"},
     "no repulsion": {"inference": "no_repulsion"},
 }
-"""What is compared, by the name in the table; settings of `smp` on top of the task's own.
+"""Compared variants, by the name in the table; settings of `smp` on top of the task's own.
 
 Without repulsion each particle ascends its own gradient: independent restarts."""
 

@@ -64,7 +64,7 @@ def candidates(task: str, method: str) -> tuple[dict[str, Any], ...]:
 
 
 class Trial(NamedTuple):
-    """What came of one setting in some scenes.
+    """Results of one setting in some scenes.
 
     Attributes:
         solved: scenes with a particle that succeeds.

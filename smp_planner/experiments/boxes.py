@@ -39,7 +39,7 @@ TAIL = 0.25
 PRIORS: Mapping[str, bool | None] = MappingProxyType(
     {"without": None, "with, 2 σ²": False, "with, √2 σ² as printed": True}
 )
-"""Whether Eq. (14) is taken as printed, by name; None is without the smooth box prior."""
+"""Readings of Eq. (14), by name: as printed or not; None is without the smooth box prior."""
 
 _PAPER = {
     ("Sshape", False): "40/42",

@@ -40,7 +40,7 @@ _SAMPLES = 1000
 
 @dataclass(frozen=True)
 class LasaScene:
-    """What a shape is adapted to; lengths in mm.
+    """Scene to which a shape is adapted; lengths in mm.
 
     Attributes:
         shape: of `lasa.demonstrations`.

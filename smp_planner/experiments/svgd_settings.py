@@ -1,4 +1,4 @@
-"""What settings of SVGD are worth on the S: success, similarity, and truth to the posterior."""
+"""Comparison of SVGD settings on the S: success, similarity, and truth to the posterior."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Ground:
-    """What all settings are measured against in a variant.
+    """Reference of all settings in a variant.
 
     Attributes:
         variant: of it.

@@ -1,4 +1,4 @@
-"""What each method is set to: the settings with the most free paths on scenes of their own.
+"""Tuning of each method: the settings with the most free paths on scenes of their own.
 
 Of the settings whose count of free paths is within `CLOSE` of the highest, those are taken whose
 paths are nearest to the unadapted primitive, by the Wasserstein distance.
@@ -78,7 +78,7 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
         )
     ),
 }
-"""What is tried, by method."""
+"""Candidate settings, by method."""
 
 
 def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:

@@ -11,7 +11,7 @@ Schedule = Callable[[int, int, float], float]
 """From iteration, iterations and the fraction of them that is annealed to a factor in (0, 1]."""
 
 _TANH_RATE = 1.3
-"""How far the tanh is followed; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""
+"""Argument at which the tanh ends; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""
 
 
 def _check(iteration: int, iterations: int, fraction: float = 1.0) -> None:

@@ -23,7 +23,7 @@ __all__ = ["GaussianState", "GaussianVISettings", "init_gaussian", "step_gaussia
 
 @dataclass(frozen=True)
 class GaussianVISettings:
-    """How the Gaussian is moved.
+    """Settings of Gaussian variational inference.
 
     Attributes:
         optimizer: turns the direction of descent into a change.

@@ -30,12 +30,12 @@ _ACCEPTANCE = 0.3
 """Share of moves to accept; the step is led there. Near the best of random-walk kernels."""
 
 _LEAD = 0.5
-"""How far the step's logarithm goes for each unit by which the acceptance is off."""
+"""Change of the step's logarithm for each unit by which the acceptance is off."""
 
 
 @dataclass(frozen=True)
 class SMCSettings:
-    """How a posterior is sampled.
+    """Settings of sequential Monte Carlo.
 
     Attributes:
         particles: P, at least 2.

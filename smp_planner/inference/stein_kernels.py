@@ -29,7 +29,7 @@ BandwidthRule = Callable[[Tensor], Tensor]
 
 
 class KernelTerms(NamedTuple):
-    """What one iteration needs to know of a kernel.
+    """Values of a kernel that one iteration needs.
 
     Attributes:
         gram: (..., P, P) k(x_j, x_i) in row i and column j.

@@ -65,7 +65,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class SVGDSettings:
-    """How particles are moved; the defaults are the *default* setting.
+    """Settings of SVGD; the defaults are the *default* setting.
 
     Annealing follows D'Angelo & Fortuin (2021): the attractive term of the Stein direction is
     multiplied by the schedule and the repulsive term is not, so that particles spread before they
@@ -117,7 +117,7 @@ class SVGDSettings:
 
     @property
     def needs_metric(self) -> bool:
-        """Whether the kernel waits for the metric in which it shall measure."""
+        """True if the kernel still lacks the metric in which it measures."""
         return isinstance(self.kernel, MetricKernel) and self.kernel.root is None
 
     def with_metric(self, root: Tensor) -> SVGDSettings:

@@ -1,4 +1,4 @@
-"""How one says what a path shall pass: via-points, boxes, and choices among them."""
+"""Requests for points that a path passes: via-points, boxes, and choices among them."""
 
 from __future__ import annotations
 

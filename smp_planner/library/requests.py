@@ -1,4 +1,4 @@
-"""What the user asks of a path, checked and turned into constraints in normalised coordinates."""
+"""Requests for a path, checked and turned into constraints in normalised coordinates."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["Wanted", "constraints_of"]
 Wanted = ArrayLike | Box | GoalRegion | AnyOf
-"""Where a path may be asked to start or end."""
+"""A request for the start or the end of a path."""
 
 TOLERANCE_SHARE = 0.8
 """Share of a via-point's tolerance that the box around it takes up, corners included."""

@@ -71,8 +71,7 @@ class Rectangle:
 
 
 PathObstacle = Circle | Rectangle | Obstacle | PointCloud
-"""What a path must not touch: `Circle` and `Rectangle` in the plane, `Obstacle` and one
-`PointCloud` in space."""
+"""An obstacle: `Circle` and `Rectangle` in the plane, `Obstacle` and one `PointCloud` in space."""
 
 
 def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, ...]:

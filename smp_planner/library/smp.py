@@ -152,7 +152,7 @@ class SMP:
 
     @property
     def extent(self) -> float:
-        """What the lengths in settings are shares of, in the unit of the demonstrations."""
+        """Length of which those in settings are shares, in the unit of the demonstrations."""
         return self.frame.scale
 
     def adapt(

@@ -37,7 +37,7 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class EMSettings:
-    """What the learning assumes before it sees a demonstration; lengths in the data's unit.
+    """Prior of the learning over its parameters; lengths in the data's unit.
 
     The prior of Σ_w is inverse-Wishart and stated by its effect on the maximum a posteriori: it
     counts as `prior_count` further demonstrations whose weights have covariance `prior_std`² I. In
@@ -116,7 +116,7 @@ class Posterior(NamedTuple):
 
 
 class LearnedDistribution(NamedTuple):
-    """What expectation-maximisation found.
+    """Result of expectation-maximisation.
 
     Attributes:
         mean: (K*D,) μ_w.

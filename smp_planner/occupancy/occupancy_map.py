@@ -1,4 +1,4 @@
-"""What every map of a scene can do, and how a distance becomes an occupancy.
+"""The protocol of occupancy maps, and the occupancy of a signed distance.
 
 Maps answer with a signed distance rather than with the occupancy probability of Eq. (12), because
 one field of distance serves every sphere radius, edge width and margin: `occupancy` turns it into

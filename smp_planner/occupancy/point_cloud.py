@@ -26,7 +26,7 @@ _LAYER = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LearnedCloud:
-    """What is known of a scene from a cloud, in normalised coordinates (m for a robot).
+    """Maps of a scene learned from a point cloud, in normalised coordinates (m for a robot).
 
     Attributes:
         map: the learned distance; None if no point of the cloud is where the body can be.

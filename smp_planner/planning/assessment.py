@@ -30,7 +30,7 @@ cost more time, and class otherwise only what passes close to an edge or through
 
 
 class Verdict(NamedTuple):
-    """What the exact check found of P trajectories; see `Plan` for the fields.
+    """Results of the exact check of P trajectories; see `Plan` for the fields.
 
     Attributes:
         free: (P,).

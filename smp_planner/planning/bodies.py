@@ -1,4 +1,4 @@
-"""What moves along a trajectory: a robot with spheres around its links, or a ball.
+"""Bodies that follow a trajectory: a robot with spheres around its links, or a ball.
 
 A body says what its trajectories cost on a map (Eq. (12)), which limits they must keep, and, by an
 exact check, whether they are clear of obstacles. The pipeline knows nothing else of it.
@@ -71,7 +71,7 @@ class ObstacleCost(Protocol):
 
 
 class Clearance(NamedTuple):
-    """What the exact check of P whole trajectories found.
+    """Results of the exact check of P whole trajectories.
 
     Attributes:
         clearance: (P,) least distance to an obstacle, negative inside; infinity without any.
@@ -83,7 +83,7 @@ class Clearance(NamedTuple):
 
 
 class Body(Protocol):
-    """What moves; lengths are m, or extents for a ball on paths of one's own."""
+    """Protocol of bodies; lengths are m, or extents for a ball on paths of one's own."""
 
     @property
     def dimension(self) -> int:

@@ -1,6 +1,6 @@
-"""What a trajectory shall do: points, boxes, choices, poses and goal regions, Eq. (13) and (14).
+"""Constraints on trajectories: via-points, boxes, choices, poses, goal regions, Eq. (13), (14).
 
-Each constraint is met in two ways: in closed form, by conditioning the primitive, and by a cost
+Each constraint enters twice: in closed form, by conditioning the primitive, and through a cost
 that pulls on what conditioning leaves open. Which points or boxes are options of one constraint is
 a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
 """
@@ -63,11 +63,11 @@ _ROUNDING = 1e-9
 
 
 class Constraint(Protocol):
-    """What a trajectory shall do at one or more phases."""
+    """Protocol of constraints on a trajectory at one or more phases."""
 
     @property
     def name(self) -> str:
-        """What the user calls it."""
+        """Name by which the user calls it."""
         ...
 
     @property
@@ -389,7 +389,7 @@ class ToolPath:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """When the via-points are due."""
+        """Phases of the via-points."""
         return tuple(via.phase for via in self.via_points)
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
@@ -479,7 +479,7 @@ class Poses:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """When the poses are due."""
+        """Phases of the poses."""
         return tuple(via.phase for via in self.via_poses)
 
     def condition(self, primitive: ProMP, settings: PlanSettings) -> list[tuple[ProMP, float]]:

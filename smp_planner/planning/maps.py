@@ -43,7 +43,7 @@ class SceneMaps:
 
     @property
     def exact(self) -> bool:
-        """Whether the obstacles themselves are asked."""
+        """True if distances are those of the obstacles themselves, without a map."""
         return self._settings.map == "exact"
 
     def grid(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid | None:

@@ -1,4 +1,4 @@
-"""Which of several ways trajectories go: signatures of paths among obstacles, and their groups.
+"""Homotopy classes of trajectories: signatures of paths among obstacles, and their groups.
 
 In the plane, the winding numbers of paths with common ends around the obstacles tell their homology
 classes apart, as the H-signature does, which is made of the same angles (Bhattacharya, Kumar &

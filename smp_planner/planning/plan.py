@@ -1,4 +1,4 @@
-"""What a planner answers: `Plan`, a set of particles and what is known of each."""
+"""The result of a planner, `Plan`: a set of particles with their costs and the checks of each."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ __all__ = ["Prior", "learn_prior"]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What was learned from demonstrations.
+    """Primitives learned from demonstrations.
 
     Attributes:
         single: one Gaussian for all demonstrations.

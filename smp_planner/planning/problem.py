@@ -1,4 +1,4 @@
-"""What a planner is asked: `Problem`; and what answers: the `Planner` protocol."""
+"""The planning problem, `Problem`, and the protocol of planners, `Planner`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which particle is best: what is demanded comes first, then likeness to the demonstrations."""
+"""Ranking of particles: feasibility comes first, then likeness to the demonstrations."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ __all__ = ["PlanSettings", "PriorSettings"]
 
 
 class PriorSettings(BaseModel):
-    """How a primitive is learned from demonstrations.
+    """Settings of learning a primitive from demonstrations.
 
     Lengths are rad for a robot, and extents of the demonstrations for paths in the plane or in
     space (`smp_planner.library.frame`).

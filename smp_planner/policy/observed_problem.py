@@ -38,7 +38,7 @@ END_HALF_WIDTH = 0.01
 """Half width of the cube round the end of a stroke in which the pen shall stop, m."""
 
 CHECKPOINT_TOLERANCE = 0.036
-"""How near a plan leads the pen to the checkpoints of a stroke, m; the task allows 4 cm."""
+"""Distance to the checkpoints of a stroke that a plan allows the pen, m; the task allows 4 cm."""
 
 LIFT_HALF_WIDTH = 0.01
 """Half width of the cube about the target in which the lifted object's centre ends, m."""

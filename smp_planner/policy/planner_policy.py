@@ -34,7 +34,7 @@ Actions = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Execution:
-    """What the policy remembers of one episode.
+    """State of the policy in one episode.
 
     Attributes:
         plan: the plan that was made.

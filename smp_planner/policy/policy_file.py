@@ -29,7 +29,7 @@ _DEMONSTRATIONS = "demonstrations.npz"
 
 @dataclass(frozen=True)
 class SavedPolicy:
-    """What makes a policy again.
+    """Contents of a policy file.
 
     Attributes:
         method: spec of its method; see `smp_planner.planners.registry.resolve`.

@@ -78,7 +78,7 @@ _UNREACHABLE = "goal out of reach"
 
 @dataclass(frozen=True, order=True)
 class RepetitionKey:
-    """What identifies a repetition.
+    """Identifier of a repetition.
 
     Attributes:
         repetition: seed of the policy.
@@ -93,7 +93,7 @@ class RepetitionKey:
 
 @dataclass(frozen=True)
 class RepetitionRow:
-    """What is kept of a repetition; P particles. Lists are empty in rows of the noise floor.
+    """Record of a repetition; P particles. Lists are empty in rows of the noise floor.
 
     Similarity and lengths are those of the ways of the carried point (the object's centre or the
     pen's tip), in metres, against `REFERENCE_DRAWS` draws of the unadapted primitive: conditioned
@@ -137,7 +137,7 @@ class RepetitionRow:
 
     @property
     def key(self) -> RepetitionKey:
-        """Which repetition this is."""
+        """Identifier of the repetition."""
         return RepetitionKey(self.repetition, self.task, self.method)
 
 

@@ -30,7 +30,7 @@ TITLES = {
     "promp_diff_matched": "ProMP-Diff, one Gaussian",
     "rrt_connect": "RRT-Connect",
 }
-"""What the methods are called in tables and figures."""
+"""Names of the methods in tables and figures."""
 
 _SIMILARITY = ("wasserstein", "frechet", "mmd", "mean_length", "min_length", "smoothness")
 _PAPER_FILE = "paper_table_two.json"

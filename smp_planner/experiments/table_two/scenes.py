@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 SCENES_FILE = "table_two_scenes.json"
-"""Where the scenes are in the folder ``experiments`` of the packaged data."""
+"""File of the scenes in the folder ``experiments`` of the packaged data."""
 
 PRIOR: dict[str, Any] = {"basis_functions": 15, "smooth_length_scale": 0.2}
 """Settings of the primitive that all methods share, on every task; 15 is the paper's K."""
@@ -66,7 +66,7 @@ RULE = (
     f"primitive collides, while smp and each baseline, with a component of its own for each way, "
     f"plans at least {LEAST_SHARE:.0%} of its particles with success (policy seed 0)"
 )
-"""What a scene must be. Where a method had no successful trajectory, its similarity could not be
+"""Conditions on a scene. Where a method had no successful trajectory, its similarity could not be
 compared over those; the rule asks the same of all methods."""
 
 _FORMAT_VERSION = 1
