@@ -40,7 +40,7 @@ _Vias = Annotated[
 _Goal = Annotated[str | None, typer.Option(help="New end x,y in mm; by default as demonstrated.")]
 _Modes = Annotated[
     int | None,
-    typer.Option(min=1, help="Ways that were demonstrated; by default as the data has it."),
+    typer.Option(min=1, help="Number of demonstrated modes; by default as the data has it."),
 ]
 
 

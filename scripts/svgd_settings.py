@@ -1,4 +1,4 @@
-"""Compare the settings of SVGD: success, similarity, ways, their weights, and diversity."""
+"""Compare the settings of SVGD: success, similarity, homotopy classes, their weights, diversity."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def load_checkpoint(folder: Path, env: VecEnv) -> SAC | None:
         return None
     model = SAC.load(checkpoint / _MODEL, env=env, device="cpu")
     with warnings.catch_warnings():
-        # The episodes that were under way are cut: what they lacked is never known.
+        # The unfinished episodes are cut: what they lacked is never known.
         warnings.filterwarnings("ignore", message=".*trajectory")
         model.load_replay_buffer(checkpoint / _REPLAY_BUFFER, truncate_last_traj=True)
     return model

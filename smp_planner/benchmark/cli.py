@@ -38,7 +38,7 @@ app = typer.Typer(
 )
 
 _Difficulty = Annotated[
-    str, typer.Option(help="How many obstacles on each way: none 0, easy 2, medium 4, hard 6.")
+    str, typer.Option(help="How many obstacles on each route: none 0, easy 2, medium 4, hard 6.")
 ]
 
 _Family = Annotated[

@@ -39,9 +39,9 @@ def make_trajectories(
 ) -> NDArray[np.float64]:
     """Return smooth paths (P,T,6) rad between postures over the table."""
     home = np.array([0.0, 3.0, 1.5, 0.0, 2.5, 0.0])
-    start, way = rng.normal(size=(2, particles, 1, 6)) * [[[[0.3]]], [[[0.6]]]]
+    start, change = rng.normal(size=(2, particles, 1, 6)) * [[[[0.3]]], [[[0.6]]]]
     phase = np.linspace(0.0, 1.0, steps)[None, :, None]
-    return np.clip(home + start + way * phase**2 * (3 - 2 * phase), robot.lower, robot.upper)
+    return np.clip(home + start + change * phase**2 * (3 - 2 * phase), robot.lower, robot.upper)
 
 
 def autograd_collision(

@@ -78,7 +78,7 @@ class EpisodeRow:
         contact: the two parts of the forbidden contact, if there was one.
         goal_error: distance from the object's centre, or the pen, to where it should end, when the
             episode ended, m.
-        path_length: way of the end effector, m.
+        path_length: of the end effector, m.
         clearance: least distance of arm or held object to an obstacle, judged by the physics, m;
             the environment does not tell distances above 0.05 apart.
         steps: environment steps.

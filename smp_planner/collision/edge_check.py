@@ -29,7 +29,7 @@ from smp_planner.collision.verification import TOLERANCE, self_gap_of
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
 
-# Halvings of one edge: enough for ways of a kilometre.
+# Halvings of one edge: enough for paths of a kilometre.
 _DEPTH = 22
 
 
@@ -69,7 +69,7 @@ class Scratch(NamedTuple):
     placed: FloatArray
     balls: FloatArray
     links: IntArray
-    way: FloatArray
+    travel: FloatArray
     measured: FloatArray
     at: FloatArray
     gap: FloatArray
@@ -101,7 +101,7 @@ def new_scratch(world):
 def _measure(world, scratch, row):
     """Write the gaps at `scratch.angles` to a row; return whether all are wide enough.
 
-    A gap wider than the sphere's way along the whole edge settles the edge for that sphere: it is
+    A gap wider than the sphere's path along the whole edge settles the edge for that sphere: it is
     kept and not measured again.
     """
     robot = world.robot
@@ -128,7 +128,7 @@ def _measure(world, scratch, row):
                 scratch.gap[row, s] = np.inf
                 continue
             gap = scratch.measured[s]
-            if gap < least_allowed + scratch.way[s]:
+            if gap < least_allowed + scratch.travel[s]:
                 x, y, z = placed[s, 0, 0], placed[s, 1, 0], placed[s, 2, 0]
                 gap = (
                     point_distance(x, y, z, shape, rotation, position, size, bound)
@@ -152,13 +152,13 @@ def edge_is_free(world, scratch, start, end):
     the bound (a + b - h w_s) / 2 of `smp_planner.collision.verification`.
     """
     joints, spheres = start.shape[0], world.robot.link.shape[0]
-    way, at, gap, self_gap = scratch.way, scratch.at, scratch.gap, scratch.self_gap
+    travel, at, gap, self_gap = scratch.travel, scratch.at, scratch.gap, scratch.self_gap
     longest = 0.0
     for s in range(spheres):
-        way[s] = 0.0
+        travel[s] = 0.0
         for j in range(joints):
-            way[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
-        longest = max(longest, way[s])
+            travel[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
+        longest = max(longest, travel[s])
         scratch.measured[s] = -np.inf
     # Row 0 is the configuration up to which the edge is settled; above it those still ahead.
     at[0], at[1] = 0.0, 1.0
@@ -175,7 +175,7 @@ def edge_is_free(world, scratch, start, end):
             settled = self_gap[0] + self_gap[top] - share * longest >= 2.0 * TOLERANCE
             if settled:
                 for s in range(spheres):
-                    if gap[0, s] + gap[top, s] - share * way[s] < 2.0 * world.margin:
+                    if gap[0, s] + gap[top, s] - share * travel[s] < 2.0 * world.margin:
                         settled = False
                         break
         if settled:

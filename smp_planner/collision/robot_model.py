@@ -139,7 +139,7 @@ class RobotModel:
 
     @property
     def endless(self) -> NDArray[np.bool_]:
-        """(n,) which joints reach the same place in more than one way."""
+        """(n,) true for joints with a range of more than a turn."""
         return np.asarray(self.upper - self.lower > 2 * np.pi)
 
     @cached_property
@@ -267,7 +267,7 @@ class RobotModel:
     def link_transforms(self, configurations: torch.Tensor) -> torch.Tensor:
         """Return the poses (..., n + 1, 4, 4) of all links, differentiable by autograd.
 
-        The slow and plain way through the chain, in the dtype and on the device of the argument:
+        The slow and plain product of the chain, in the dtype and on the device of the argument:
         the oracle of the compiled loops.
 
         Args:
@@ -297,7 +297,7 @@ class RobotModel:
         return torch.stack(poses, dim=-3)
 
     def sphere_centers(self, configurations: torch.Tensor) -> torch.Tensor:
-        """Return the centres (..., S, 3) m of all spheres in the base frame, by autograd's way.
+        """Return the centres (..., S, 3) m of all spheres in the base frame, by autograd.
 
         Args:
             configurations: (..., n) rad.

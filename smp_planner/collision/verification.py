@@ -3,7 +3,7 @@
 Nothing learned and no grid, unless a grid is all that is known of a scene: spheres against the
 exact distance of the obstacles, along the whole piecewise linear path in joint space. Between two
 configurations no sphere can come nearer to anything than half of what is left of the two distances
-after the length of its way is taken off; where that does not settle the matter, the segment is
+after the length of its path is taken off; where that does not settle the matter, the segment is
 halved. So the result holds for the path, not only for samples of it.
 """
 
@@ -165,7 +165,7 @@ def _check(
     links = np.arange(joints + 1)
     measured_at = np.empty((spheres, 3))
     measured = np.empty(spheres)
-    way = np.empty(spheres)
+    travel = np.empty(spheres)
     # Row 0 is the configuration up to which the path is settled; above it those still ahead.
     at = np.empty(_DEPTH + 2)
     gap = np.empty((_DEPTH + 2, spheres))
@@ -184,12 +184,12 @@ def _check(
             before = max(t - 1, 0)
             longest = 0.0
             for s in range(spheres):
-                way[s] = 0.0
+                travel[s] = 0.0
                 for j in range(joints):
                     turn = trajectories[p, j, t] - trajectories[p, j, before]
-                    way[s] += abs(turn) * robot.lever[s, j]
-                way[s] *= steepness
-                longest = max(longest, way[s])
+                    travel[s] += abs(turn) * robot.lever[s, j]
+                travel[s] *= steepness
+                longest = max(longest, travel[s])
             top = 1
             at[0] = 0.0
             at[1] = 1.0
@@ -230,9 +230,9 @@ def _check(
                         dy = y - measured_at[s, 1]
                         dz = z - measured_at[s, 2]
                         least = measured[s] - steepness * math.sqrt(dx * dx + dy * dy + dz * dz)
-                        # What is by a segment's way farther than the nearest settles the segment
-                        # as it is; there is no need to measure it anew.
-                        if least < nearest + way[s]:
+                        # What is farther than the nearest by the segment's path length settles
+                        # the segment as it is; there is no need to measure it anew.
+                        if least < nearest + travel[s]:
                             least = point_distance(x, y, z, *obstacles)
                             if has_grid:
                                 least = min(least, lookup(values, corner, inv_spacing, x, y, z)[0])
@@ -259,7 +259,7 @@ def _check(
                         settled = self_gap[0] + self_gap[top] >= share * longest
                     if settled:
                         for s in range(spheres):
-                            ahead = 0.5 * (gap[0, s] + gap[top, s] - share * way[s])
+                            ahead = 0.5 * (gap[0, s] + gap[top, s] - share * travel[s])
                             if ahead < nearest - tolerance:
                                 settled = False
                                 break

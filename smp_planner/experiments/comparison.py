@@ -1,4 +1,4 @@
-"""Ways to adapt side by side: how many paths are free, how many ways they take, how alike they are.
+"""Comparison of adaptations: free paths, their homotopy classes, likeness to demonstrations.
 
 A *reference* is a large draw of the unadapted primitive, which similarity is measured against.
 """
@@ -43,7 +43,7 @@ _REFERENCE_SEED = 2**40
 COLUMNS = (
     Column("method", "Method"),
     Column("free", "Free", 1, extremes=True),
-    Column("classes", "Ways", 1, extremes=True),
+    Column("classes", "Classes", 1, extremes=True),
     Column("entropy", "Entropy, nats"),
     Column("wasserstein", "W1, mm"),
     Column("frechet", "Fréchet, mm"),
@@ -138,8 +138,8 @@ def measure(
 ) -> dict[str, float | None]:
     """Return what is measured of a set of paths: a row without its method and repetition.
 
-    Ways are told apart by the winding numbers of the free paths, and counted; `entropy` is that of
-    their shares. Measures of free paths are None where none is free.
+    Homotopy classes are told apart by the winding numbers of the free paths, and counted; `entropy`
+    is that of their shares. Measures of free paths are None where none is free.
 
     Args:
         paths: (P, T, 2) mm.
@@ -148,13 +148,13 @@ def measure(
         reference: of `reference_of`.
     """
     free = paths[clearances(paths, scene.obstacles) > 0.0]
-    ways = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
+    modes = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
     alike = similarity(paths, reference)
     alike_free = alike if len(free) == len(paths) else similarity(free, reference)
     return {
         "free": float(len(free)),
-        "classes": float(ways.count) if ways else 0.0,
-        "entropy": ways.entropy if ways else None,
+        "classes": float(modes.count) if modes else 0.0,
+        "entropy": modes.entropy if modes else None,
         **alike,
         **{f"{name}_free": value for name, value in alike_free.items()},
         "length": float(path_lengths(paths).mean()),

@@ -71,7 +71,7 @@ class Method:
 FIGURE_1 = LasaScene(
     "Sshape", (Circle((-2.0, 33.0), 3.0), Circle((38.0, 10.0), 3.0)), goal=(0.0, 0.0)
 )
-"""Two obstacles across the S, one in each of its bends: there are four ways to pass them."""
+"""Two obstacles across the S, one in each of its bends: paths past them are of four classes."""
 
 _NEW_END = (10.0, -12.0)
 

@@ -23,7 +23,7 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import PAD_DEPTH, Goal, ManipulatedObject, Obstacle, Scene
 from smp_gym.tasks.double_sided_placement.rules import NOMINAL_PADS, START_CONFIGURATION
 from smp_planner.benchmark.episode_pictures import (
-    Way,
+    SceneLine,
     carried_point,
     object_paths,
     paint_scene,
@@ -79,11 +79,11 @@ def _plan(policy: PlannerPolicy, env: gym.Env[Any, Any], scene: Scene) -> Plan:
     return policy.plan(observation)
 
 
-def _ways(scene: Scene, plan: Plan) -> list[Way]:
+def _lines(scene: Scene, plan: Plan) -> list[SceneLine]:
     """Return a line for each particle: successful, or not."""
     paths = object_paths(plan.trajectories, carried_point(scene))
     return [
-        Way(path, _FREE if done else _COLLIDING)
+        SceneLine(path, _FREE if done else _COLLIDING)
         for path, done in zip(paths, plan.good, strict=True)
     ]
 
@@ -108,11 +108,11 @@ def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
             for settings in (_BEFORE, {})
         ]
         env.close()
-        ways = [_ways(scene, plan) for plan in plans]
+        lines = [_lines(scene, plan) for plan in plans]
         left = 0.03 + column * width
         both = [figure.add_axes((left, bottom, width - 0.006, 0.42)) for bottom in (0.5, 0.035)]
         for row, (axes, plan) in enumerate(zip(both, plans, strict=True)):
-            paint_scene(axes, scene, ways[row], within=ways[1 - row])
+            paint_scene(axes, scene, lines[row], within=lines[1 - row])
             count, done = len(plan.good), int(plan.good.sum())
             axes.set_title(f"{done} of {count} succeed", fontsize=11, color=_DARK, y=-0.05)
         _share_limits(both)
@@ -133,14 +133,14 @@ def _share_limits(pictures: Sequence[Any]) -> None:
 
 @dataclass(frozen=True)
 class TwoModes:
-    """Two ways through a scene, over an obstacle and beside it.
+    """Two modes of a plan, over an obstacle and beside it.
 
     Attributes:
         scene: what is planned in.
         plan: of all particles.
         over: the particle that passes over.
         beside: the particle that passes beside.
-        distance: m, root mean squared over time, between the two ways of the carried point.
+        distance: m, root mean squared over time, between the two paths of the carried point.
     """
 
     scene: Scene
@@ -247,10 +247,10 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
     done = []
     axes = figure.add_axes((0.0, 0.02, 0.245, 0.9))
     paths = object_paths(pair.plan.trajectories, carried_point(pair.scene))
-    ways = [Way(path, _FAINT) for path in paths[pair.plan.good]]
+    lines = [SceneLine(path, _FAINT) for path in paths[pair.plan.good]]
     for particle, color in zip((pair.over, pair.beside), _MODES, strict=True):
-        ways.append(Way(paths[particle], color, 3.2, rimmed=True))
-    paint_scene(axes, pair.scene, ways)
+        lines.append(SceneLine(paths[particle], color, 3.2, rimmed=True))
+    paint_scene(axes, pair.scene, lines)
     rows = (("over", pair.over, videos[0]), ("beside", pair.beside, videos[1]))
     for row, (name, particle, video) in enumerate(rows):
         size = 0.75 / _STILLS
@@ -267,7 +267,7 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
 
 
 def modulated_scene() -> Scene:
-    """Return the scene of Fig. 4: a new start, both ends moved, obstacles on both ways.
+    """Return the scene of Fig. 4: a new start, both ends moved, obstacles on both routes.
 
     The left pad stands nearer to the middle, by `SHIFT`, the right one as high as a pad can.
     """
@@ -321,7 +321,7 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
     FigureCanvasAgg(figure)
     paths = object_paths(plan.trajectories, carried_point(scene))
     shipped = object_paths(Demonstrations.load(scene.task).configurations, carried_point(scene))
-    taught = [Way(path, _DARK, 1.1, dashed=True) for path in shipped]
+    taught = [SceneLine(path, _DARK, 1.1, dashed=True) for path in shipped]
     bare = scene.model_copy(update={"obstacles": ()})
     paint_scene(figure.add_axes((0.0, 0.47, 0.5, 0.46)), bare, taught, _FRONT_AZIMUTH)
     done, best = [], []
@@ -339,9 +339,11 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
             0.008, 0.443 - 0.225 * side, name, fontsize=13, weight="bold", color=_MODES[side]
         )
     env.close()
-    ways = _ways(scene, plan)
-    chosen = [Way(paths[p], color, 3.4, rimmed=True) for p, color in zip(best, _MODES, strict=True)]
-    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, [*ways, *chosen], _FRONT_AZIMUTH)
+    lines = _lines(scene, plan)
+    lines += [
+        SceneLine(paths[p], color, 3.4, rimmed=True) for p, color in zip(best, _MODES, strict=True)
+    ]
+    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, lines, _FRONT_AZIMUTH)
     figure.text(0.02, 0.955, "demonstrations, new start and new ends", fontsize=15, weight="bold")
     figure.text(0.52, 0.955, "adapted", fontsize=15, weight="bold")
     figure.legend(

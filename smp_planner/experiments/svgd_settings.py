@@ -67,13 +67,13 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
         "fig1": Variant(FIGURE_1),
         "narrow_prior": Variant(FIGURE_1, smooth_std=1.0),
-        "unequal_ways": Variant(_scene((0.0, 33.0, 3.0), (36.0, 10.0, 3.0))),
-        "many_ways": Variant(
+        "unequal_classes": Variant(_scene((0.0, 33.0, 3.0), (36.0, 10.0, 3.0))),
+        "many_classes": Variant(
             _scene((14.0, 45.0, 2.5), (-2.0, 33.0, 2.5), (20.0, 21.0, 2.5), (38.0, 10.0, 2.5))
         ),
     }
 )
-"""By name: Fig. 1; with a third of the freedom; with one way nearly free; with sixteen ways."""
+"""By name: Fig. 1; with a third of the added deviation; one class nearly free; sixteen classes."""
 
 
 @dataclass(frozen=True)
@@ -165,10 +165,10 @@ def settings_rows(
 
 def settings_columns(ground: Ground) -> tuple[Column, ...]:
     """Return the columns of the printed table of a ground's rows."""
-    setting, free, ways, *others = columns(ground.posterior)
+    setting, free, count, *others = columns(ground.posterior)
     alike = (
         Column("wasserstein", "W1, mm"),
         Column("frechet", "Fréchet, mm"),
         Column("mmd", "MMD", 3),
     )
-    return (setting, free, ways, *alike, *others)
+    return (setting, free, count, *alike, *others)

@@ -1,7 +1,7 @@
 """Stein variational gradient descent as two pure functions, `init` and `step`.
 
-Source: Liu & Wang 2016, Alg. 1; Eq. (5), (11) and (16). The indices of those equations are read in
-the standard way: the sum runs over j, particle i is updated, and the repulsive gradient is with
+Source: Liu & Wang 2016, Alg. 1; Eq. (5), (11) and (16). The indices of those equations are read as
+usual: the sum runs over j, particle i is updated, and the repulsive gradient is with
 respect to the summed particle, φ(x_i) = 1/P Σ_j [k(x_j, x_i) ∇ log p(x_j) + ∇_{x_j} k(x_j, x_i)].
 
 A finite set has less spread than its target, the less the more dimensions and the fewer particles

@@ -180,7 +180,7 @@ class SMP:
                 `smp_gym.scene.Obstacle`s and one `PointCloud`, which may also be given alone.
             start: (D,) where to begin, a `Box`, or `AnyOf` such; None leaves it as demonstrated.
             goal: likewise, where to end; for a robot also a `GoalRegion` of its tool.
-            via_points: what to pass on the way; `AnyOf` several of one phase for a choice.
+            via_points: what to pass in between; `AnyOf` several of one phase for a choice.
             radius: of the ball that moves; 0 is a point. A robot has none.
             particles: P.
             seed: of all randomness; the same call gives the same plan.

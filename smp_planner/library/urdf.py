@@ -25,7 +25,7 @@ from smp_planner.library.covering import cover_mesh
 __all__ = ["ENDLESS", "Robot"]
 
 ENDLESS = 4.0 * math.pi
-"""rad either way, limits of a continuous joint for which the URDF names none."""
+"""rad in either direction, limits of a continuous joint for which the URDF names none."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def _moving_chain(
         if joint.kind not in ("revolute", "continuous") or joint.is_mimic:
             kind = "mimic" if joint.is_mimic else joint.kind
             raise ValueError(
-                f"joint {joint.name!r} on the way to {tip!r} is {kind}; only revolute and "
+                f"joint {joint.name!r} in the chain to {tip!r} is {kind}; only revolute and "
                 f"continuous joints can be planned for, others must be held"
             )
         if not joint.lower < joint.upper or not joint.velocity > 0.0:

@@ -1,4 +1,4 @@
-"""Mixtures of primitives, for demonstrations that go more than one way: p(w) = Σ_c π_c N(μ_c, Σ_c).
+"""Mixtures of primitives, for demonstrations of several modes: p(w) = Σ_c π_c N(μ_c, Σ_c).
 
 Which demonstrations belong together is decided first, by their weights; then each group learns a
 primitive of its own. With so few demonstrations, in so many dimensions, expectation-maximisation of

@@ -122,7 +122,7 @@ class DistanceGrid:
 
     @cached_property
     def steepness(self) -> float:
-        """Bound on the change of `query` per metre of way, outside the grid, too."""
+        """Bound on the change of `query` per metre of path, outside the grid, too."""
         largest = [np.abs(np.diff(self.values, axis=axis)).max() for axis in range(3)]
         return float(np.linalg.norm(largest)) / self.spacing
 

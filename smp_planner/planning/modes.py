@@ -155,7 +155,7 @@ def signatures_3d(
 
     This is a convention and not an invariant: all paths with common ends around bounded obstacles
     can be deformed into one another, and a path that is moved over an edge of the obstacle changes
-    its signature on the way although it touches nothing. With the default radii, all that is higher
+    its signature there although it touches nothing. With the default radii, all that is higher
     is over, however far aside.
 
     Args:

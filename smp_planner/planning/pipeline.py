@@ -171,7 +171,7 @@ def conditioned_parts(
 
 @dataclass(eq=False)
 class _Attempt:
-    """A problem on its way to a plan."""
+    """State of a problem that is being planned."""
 
     problem: Problem
     stopwatch: Stopwatch = field(default_factory=Stopwatch)

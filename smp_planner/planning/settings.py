@@ -48,7 +48,7 @@ class PlanSettings(BaseModel):
         samples: T of the trajectories in a plan.
         map: "exact" asks the obstacles themselves; "shapes" composes networks trained once per
             obstacle shape; "points" trains one network from labelled points of the scene, the
-            paper's way (Eq. (12)), which takes seconds.
+            paper's method (Eq. (12)), which takes seconds.
         map_points: how many points "points" learns from.
         map_steps: of that training.
         planning_steps: steps of phase at which costs are evaluated.
@@ -59,7 +59,7 @@ class PlanSettings(BaseModel):
         sigma: tails of the boxes of goals and via-points, Eq. (13) and (14); what misses its place
             by no more has reached it.
         modulation: "exact" conditions the primitive in closed form on what the constraints allow,
-            before costs narrow it down; "likelihood" leaves all to the costs, the paper's way.
+            before costs narrow it down; "likelihood" leaves all to the costs, as in the paper.
         via_share: half width of the box around a tool's via-point, as a share of its tolerance.
         velocity_weight: of the excess over the joint velocity limits.
         limit_weight: of the excess over the joint limits.

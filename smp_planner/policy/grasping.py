@@ -27,7 +27,7 @@ VIA_POSES = 5
 
 @dataclass(frozen=True)
 class Grasping:
-    """A grasp on the way, as demonstrated.
+    """A demonstrated grasp.
 
     Attributes:
         phases: (H,) in [0, 1], of the poses; the hand closes at the last of them.

@@ -61,7 +61,7 @@ def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalReg
 
 
 def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping) -> Problem:
-    """Return the problem of grasping an object on the way and carrying it to a target.
+    """Return the problem of grasping an object and carrying it to a target.
 
     Until the demonstrated contact begins, the object is an obstacle; then the hand may touch it;
     once the hand has closed, it is carried, and may touch what it stands on.
@@ -158,7 +158,7 @@ def problem_from(
         seed: of the plan's randomness.
         phases: (`STROKE_POINTS`,) when a stroke's checkpoints are due, from `checkpoint_phases`;
             by default at equal steps.
-        grasping: what demonstrations teach about a grasp on the way; see `learn_grasping`.
+        grasping: what demonstrations teach about a grasp; see `learn_grasping`.
 
     Raises:
         ValueError: the task is to grasp an object, and `grasping` is None.

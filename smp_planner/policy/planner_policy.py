@@ -39,7 +39,7 @@ class Execution:
     Attributes:
         plan: the plan that was made.
         particle: which of its particles is executed.
-        track: that particle's trajectory on its way.
+        track: that particle's trajectory with its timing.
         digest: fingerprint of the observation that was planned from.
     """
 
@@ -203,7 +203,7 @@ class PlannerPolicy:
         return problem_from(decoded, digest, self._phases, grasping=self._grasping)
 
     def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
-        """Return one particle of a plan on its way, as the policy would execute it.
+        """Return the timed trajectory of one particle of a plan, as the policy would execute it.
 
         Args:
             plan: of this policy's planner.

@@ -81,7 +81,7 @@ def draw_table(summary: Mapping[str, Any], path: Path) -> None:
         )
     figure.suptitle(
         "Intervals of 95 %. Dashed: noise floor of 42 draws of the unadapted primitive. "
-        "Hollow: one Gaussian for both ways.",
+        "Hollow: one Gaussian for both modes.",
         fontsize=9.5,
         color="#4b5563",
         x=0.01,

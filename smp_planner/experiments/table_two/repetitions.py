@@ -68,7 +68,7 @@ METHODS = (
     "rrt_connect",
 )
 """Rows of each task; those that end in ``_matched`` keep one Gaussian for all demonstrations, its
-moments matched to them, as the paper's baselines do, and are of tasks with several ways only."""
+moments matched to them, as the paper's baselines do, and are of tasks with several modes only."""
 
 SAMPLES = 200
 """Samples of each trajectory, as in plans, at which lengths and smoothness are measured."""
@@ -95,7 +95,7 @@ class RepetitionKey:
 class RepetitionRow:
     """Record of a repetition; P particles. Lists are empty in rows of the noise floor.
 
-    Similarity and lengths are those of the ways of the carried point (the object's centre or the
+    Similarity and lengths are those of the paths of the carried point (the object's centre or the
     pen's tip), in metres, against `REFERENCE_DRAWS` draws of the unadapted primitive: conditioned
     on start, goal and via-points of the scene, with the freedom that all methods of the task start
     from.
@@ -109,7 +109,7 @@ class RepetitionRow:
         steps: P, environment steps.
         planned: P, whether the planner's own check finds it collision-free, executable and ending
             in the goal.
-        lengths: P, m, of the planned way.
+        lengths: P, m, of the planned path.
         free_waypoints: share of the collision-free configurations of all trajectories together.
         all: similarity of all particles; None if there are none.
         successful: of those that succeeded in the physics; None if none did.

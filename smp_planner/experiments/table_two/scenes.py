@@ -63,7 +63,7 @@ LEAST_SHARE = 0.1
 
 RULE = (
     f"the first tuning seed of difficulty {DIFFICULTY} in which the mean of the conditioned "
-    f"primitive collides, while smp and each baseline, with a component of its own for each way, "
+    f"primitive collides, while smp and each baseline, with a component of its own for each mode, "
     f"plans at least {LEAST_SHARE:.0%} of its particles with success (policy seed 0)"
 )
 """Conditions on a scene. Where a method had no successful trajectory, its similarity could not be

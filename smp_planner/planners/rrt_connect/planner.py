@@ -21,7 +21,7 @@ from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, invers
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import TOLERANCE, minimum_duration
-from smp_planner.planners.rrt_connect.layered_search import way_through
+from smp_planner.planners.rrt_connect.layered_search import path_through
 from smp_planner.planners.rrt_connect.shortcutting import (
     path_length,
     shortcut,
@@ -63,7 +63,7 @@ class RRTConnectSettings(BaseModel):
         postures: how many configurations are tried for each goal or via-point.
         posture_spread: rad, how far around the demonstrations' last configurations goal
             configurations are sought.
-        branches: how many ways to take the via-poses are tried.
+        branches: how many chains of configurations at the via-poses are tried.
         shortcuts: iterations of shortcutting.
         duration_limit: s, within which an executable trajectory must be feasible.
     """
@@ -209,17 +209,17 @@ class _Search:
         """Return a trajectory (T,6) rad from the start through all layers, or None."""
         s, start = self.settings, self.problem.start
         checker = self.checker([start[None], *layers])
-        # Each search has its own half of the configurations, so that not all find the same way.
+        # Each search has its own half of the configurations, so that not all find the same path.
         halves = [layer[rng.permutation(len(layer))[: (len(layer) + 1) // 2]] for layer in layers]
-        way = way_through(start, halves, checker, rng, iterations=s.iterations, step=s.step)
-        if way is None:
+        found = path_through(start, halves, checker, rng, iterations=s.iterations, step=s.step)
+        if found is None:
             return None
-        pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in way]
+        pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in found]
         path = np.concatenate([start[None], *(piece[1:] for piece in pieces)])
         return _timed(path, SAMPLES, checker, s.duration_limit, self.passes)
 
     def branches(self, rng: np.random.Generator) -> Iterator[FloatArray]:
-        """Yield ways (H,6) rad to take the via-poses that are free from one to the next.
+        """Yield configurations (H,6) rad at the via-poses, free from one to the next.
 
         First that nearest to what was demonstrated, then those nearest to random ones.
         """
@@ -236,7 +236,7 @@ class _Search:
                 yield chain
 
     def by_poses(self, rng: np.random.Generator) -> FloatArray | None:
-        """Return a trajectory (T,6) rad that takes the via-poses on the way to a goal, or None."""
+        """Return a trajectory (T,6) rad that takes the via-poses and ends in a goal, or None."""
         for chain in self.branches(rng):
             trajectory = self.along(chain, rng)
             if trajectory is not None:
@@ -244,7 +244,7 @@ class _Search:
         return None
 
     def along(self, chain: FloatArray, rng: np.random.Generator) -> FloatArray | None:
-        """Return a trajectory (T,6) rad that takes the via-poses in one way (H,6), or None."""
+        """Return a trajectory (T,6) rad with a chain (H,6) at the via-poses, or None."""
         problem, limit = self.problem, self.settings.duration_limit
         first, last = problem.via_poses[0].phase, problem.via_poses[-1].phase
         before, after = round(first * (SAMPLES - 1)), round(last * (SAMPLES - 1))
