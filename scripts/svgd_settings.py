@@ -64,7 +64,7 @@ def arm(
     priors: Annotated[
         str,
         typer.Option(
-            help=f"Of {', '.join(arm_settings.PRIORS)}, separated by commas. Default: all."
+            help=f"Of {', '.join(arm_settings.PRIOR_WIDTHS)}, separated by commas. Default: all."
         ),
     ] = "",
     difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "hard",
@@ -81,11 +81,11 @@ def arm(
     one_of(difficulty, DIFFICULTIES, "--difficulty")
     cells = arm_settings.cells_of(
         chosen_names(tasks, TASKS, "--tasks"),
-        chosen_names(priors, tuple(arm_settings.PRIORS), "--priors"),
+        chosen_names(priors, tuple(arm_settings.PRIOR_WIDTHS), "--priors"),
         difficulty,
         tuning_seeds(seed, scenes),
     )
-    together = len(arm_settings.VARIANTS)
+    together = len(arm_settings.COMPARED_SETTINGS)
     rows = pooled(arm_settings.measure_cell, cells, "plans", Console(), jobs=jobs, chunk=together)
     rows.sort(key=lambda row: (str(row["task"]), str(row["prior"])))
     note = (

@@ -23,7 +23,7 @@ __all__ = ["Camera", "Painter", "body_faces"]
 _LIGHT = np.array([0.45, -0.25, 0.86])
 _ROUND = 40
 _PIECE = 0.02
-_MARGIN = 0.03
+_BORDER = 0.03
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,8 @@ class Painter:
         everything = np.concatenate(outlines)
         low, high = everything.min(axis=0), everything.max(axis=0)
         axes.set(
-            xlim=(low[0] - _MARGIN, high[0] + _MARGIN), ylim=(low[1] - _MARGIN, high[1] + _MARGIN)
+            xlim=(low[0] - _BORDER, high[0] + _BORDER),
+            ylim=(low[1] - _BORDER, high[1] + _BORDER),
         )
         axes.set_aspect("equal")
         axes.set_axis_off()

@@ -19,7 +19,7 @@ from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 
 __all__ = ["autograd_collision", "cost_table", "make_scene", "make_trajectories"]
 
-MARGIN = 0.01
+SPHERE_MARGIN = 0.01
 """m, by which link spheres are enlarged."""
 
 
@@ -64,7 +64,7 @@ def autograd_collision(
         padding_mode="border",
         align_corners=True,
     ).reshape(centers.shape[:-1])
-    radius = torch.as_tensor(robot.radius[moving], dtype=dtype) + MARGIN
+    radius = torch.as_tensor(robot.radius[moving], dtype=dtype) + SPHERE_MARGIN
     reach = (radius + CUTOFF_WIDTHS * edge_width).clamp(max=float(grid.values.max()))
     floor = torch.sigmoid((radius - reach) / edge_width) ** 2
     excess = (torch.sigmoid((radius - distance) / edge_width) ** 2 - floor).clamp(min=0.0)
@@ -101,7 +101,7 @@ def cost_table(
         oracle = partial(autograd_collision, robot, grid, q, edge_width)
         slow = median_time(partial(oracle, torch.float64), repeats)
         single = median_time(partial(oracle, torch.float32), repeats)
-        fast = median_time(partial(collision, q, edge_width, MARGIN), repeats)
+        fast = median_time(partial(collision, q, edge_width, SPHERE_MARGIN), repeats)
         rows.append((f"{name}: autograd, float64", slow, slow))
         rows.append((f"{name}: autograd, float32", single, slow))
         rows.append((f"{name}: compiled, float64", fast, slow))

@@ -22,7 +22,7 @@ INSIDE = 0.01
 OUTSIDE = (0.02, 0.06)
 """Distances, m, between which a point should be free."""
 
-NEAR = 0.03
+ERROR_BAND = 0.03
 """Distance, m, from the surface within which the error is measured."""
 
 _POINTS_PER_OBSTACLE = 4000
@@ -56,7 +56,7 @@ class MapAccuracy:
             learned: those of the map.
         """
         occupied = occupancy(learned) > 0.5
-        near = np.abs(exact) < NEAR
+        near = np.abs(exact) < ERROR_BAND
         return cls(
             scenes=scenes,
             points=len(exact),

@@ -28,8 +28,8 @@ from smp_planner.collision.robot_model import RobotModel
 from smp_planner.occupancy.grid import DistanceGrid, lookup
 
 __all__ = [
+    "CLEARANCE_TOLERANCE",
     "DURATION_LIMIT",
-    "TOLERANCE",
     "CollisionCheck",
     "Verification",
     "check_collisions",
@@ -38,7 +38,7 @@ __all__ = [
     "within_joint_limits",
 ]
 
-TOLERANCE = 1e-3
+CLEARANCE_TOLERANCE = 1e-3
 """Metres by which the clearance of a path may be overestimated."""
 
 DURATION_LIMIT = 15.0
@@ -47,7 +47,7 @@ DURATION_LIMIT = 15.0
 # Distances of farther pairs of spheres of the arm are not told apart, m.
 _SELF_HORIZON = 0.05
 # Halvings of one segment: enough for a segment of a kilometre at a tolerance of a millimetre.
-_DEPTH = 22
+_MOST_HALVINGS = 22
 # Arrays of `lookup`, and the steepness of the distance, where there is no grid.
 _NO_GRID = np.empty((0, 0, 0), np.float32), np.zeros(3), 1.0, 1.0
 
@@ -58,7 +58,7 @@ class CollisionCheck:
 
     Attributes:
         clearance: (P,) m, least distance of a sphere to an obstacle, negative inside; infinity
-            without obstacles. The path may come nearer by `TOLERANCE`, no more.
+            without obstacles. The path may come nearer by `CLEARANCE_TOLERANCE`, no more.
         free: (P,) whether the whole path is certainly clear of obstacles and of the arm itself.
         self_free: (P,) whether it is clear of the arm itself.
     """
@@ -167,9 +167,9 @@ def _check(
     measured = np.empty(spheres)
     travel = np.empty(spheres)
     # Row 0 is the configuration up to which the path is settled; above it those still ahead.
-    at = np.empty(_DEPTH + 2)
-    gap = np.empty((_DEPTH + 2, spheres))
-    self_gap = np.empty(_DEPTH + 2)
+    at = np.empty(_MOST_HALVINGS + 2)
+    gap = np.empty((_MOST_HALVINGS + 2, spheres))
+    self_gap = np.empty(_MOST_HALVINGS + 2)
     for p in range(count):
         sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
         chain(sine, cosine, base, origins, rotation, position)
@@ -254,7 +254,7 @@ def _check(
                     fresh = False
                 share = at[top] - at[0]
                 settled = True
-                if t > 0 and share * longest > 2.0 * tolerance and top < _DEPTH + 1:
+                if t > 0 and share * longest > 2.0 * tolerance and top < _MOST_HALVINGS + 1:
                     if clear_of_itself:
                         settled = self_gap[0] + self_gap[top] >= share * longest
                     if settled:
@@ -280,7 +280,7 @@ def check_collisions(
     trajectories: ArrayLike,
     robot: RobotModel,
     obstacles: Sequence[Obstacle] | PackedObstacles,
-    tolerance: float = TOLERANCE,
+    tolerance: float = CLEARANCE_TOLERANCE,
     grid: DistanceGrid | None = None,
 ) -> CollisionCheck:
     """Check whole paths against obstacles and the arm itself.

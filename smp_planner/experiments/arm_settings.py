@@ -25,9 +25,9 @@ from smp_planner.planners import make_planner
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "cells_of", "measure_cell"]
+__all__ = ["COLUMNS", "COMPARED_SETTINGS", "PRIOR_WIDTHS", "Cell", "cells_of", "measure_cell"]
 
-VARIANTS: dict[str, dict[str, Any]] = {
+COMPARED_SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "paper": {"inference": "paper"},
     "paper, 4 times the iterations": {"inference": "paper", "iterations": 400},
@@ -43,7 +43,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 Without repulsion each particle ascends its own gradient: independent restarts."""
 
-PRIORS: dict[str, float] = {"usual": 1.0, "narrow": 0.5}
+PRIOR_WIDTHS: dict[str, float] = {"usual": 1.0, "narrow": 0.5}
 """Factor of the freedom that is added to what the demonstrations teach (`smooth_std`)."""
 
 COLUMNS = (
@@ -72,8 +72,8 @@ class Cell(NamedTuple):
 
     Attributes:
         task: its name.
-        prior: one of `PRIORS`.
-        variant: one of `VARIANTS`.
+        prior: one of `PRIOR_WIDTHS`.
+        variant: one of `COMPARED_SETTINGS`.
         difficulty: of the scene.
         seed: of the scene.
     """
@@ -95,7 +95,7 @@ def cells_of(
     """
     return [
         Cell(task, prior, variant, difficulty, seed)
-        for task, seed, prior, variant in product(tasks, seeds, priors, VARIANTS)
+        for task, seed, prior, variant in product(tasks, seeds, priors, COMPARED_SETTINGS)
     ]
 
 
@@ -106,9 +106,9 @@ def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
 
 @lru_cache(maxsize=64)
 def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
-    own: dict[str, Any] = dict(VARIANTS[variant]) | {"retries": 0}
+    own: dict[str, Any] = dict(COMPARED_SETTINGS[variant]) | {"retries": 0}
     usual = make_planner("smp", task).settings["smooth_std"]
-    own["smooth_std"] = usual * PRIORS[prior]
+    own["smooth_std"] = usual * PRIOR_WIDTHS[prior]
     if method == "promp":
         own = {"smooth_std": own["smooth_std"], "particles": _REFERENCE_SIZE}
     return PlannerPolicy.make(method, task, settings=own)

@@ -31,12 +31,12 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import SMP, AnyOf, Box
 
-__all__ = ["COLUMNS", "PRIORS", "TAIL", "box_row", "box_rows", "regions"]
+__all__ = ["BOX_PRIORS", "COLUMNS", "TAIL", "box_row", "box_rows", "regions"]
 
 TAIL = 0.25
 """mm, σ of Eq. (14)."""
 
-PRIORS: Mapping[str, bool | None] = MappingProxyType(
+BOX_PRIORS: Mapping[str, bool | None] = MappingProxyType(
     {"without": None, "with, 2 σ²": False, "with, √2 σ² as printed": True}
 )
 """Readings of Eq. (14), by name: as printed or not; None is without the smooth box prior."""
@@ -84,7 +84,7 @@ def regions(primitive: SMP, phase: Literal[0, 1]) -> tuple[Box, ...]:
 
 
 def box_rows(particles: int, repetitions: int) -> list[Row]:
-    """Return the rows of Table I: each of the `PRIORS` in the scenes of Fig. 1 and Fig. 2b.
+    """Return the rows of Table I: each of the `BOX_PRIORS` in the scenes of Fig. 1 and Fig. 2b.
 
     Args:
         particles: P.
@@ -94,7 +94,9 @@ def box_rows(particles: int, repetitions: int) -> list[Row]:
     for scene in (FIGURE_1, FIGURE_2B):
         primitive, method = learn(scene.shape), Method(adaptation("smp"), settings())
         for seed in track(range(repetitions), scene.shape):
-            rows += [box_row(prior, primitive, scene, method, particles, seed) for prior in PRIORS]
+            rows += [
+                box_row(prior, primitive, scene, method, particles, seed) for prior in BOX_PRIORS
+            ]
     return rows
 
 
@@ -104,7 +106,7 @@ def box_row(
     """Return how many starts and ends lie in their regions after an adaptation.
 
     Args:
-        prior: one of `PRIORS`.
+        prior: one of `BOX_PRIORS`.
         primitive: of the scene's shape.
         scene: obstacles only count; neither start nor goal is conditioned on.
         method: how to adapt.
@@ -112,7 +114,7 @@ def box_row(
         seed: of the plan.
     """
     first, last = regions(primitive, 0), regions(primitive, 1)
-    paper_scale = PRIORS[prior]
+    paper_scale = BOX_PRIORS[prior]
     start, goal = None, None
     if paper_scale is not None:
         start, goal = (AnyOf([_drawn_in(b, paper_scale) for b in boxes]) for boxes in (first, last))

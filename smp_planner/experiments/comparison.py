@@ -56,7 +56,7 @@ COLUMNS = (
 )
 """Of the printed table of `measure`'s rows."""
 
-_TITLES = {
+_METHOD_TITLES = {
     "promp": "ProMP",
     "smp": "SMP",
     "promp_diff": "ProMPs-Diff",
@@ -100,7 +100,7 @@ def compare(
             measured = measure(plan.trajectories, primitive, scene, reference)
             rows.append({"method": name, "seed": seed, **measured})
             if seed == 0:
-                panels[f"{_TITLES[name]}: {measured['free']:.0f} of {particles} free"] = (
+                panels[f"{_METHOD_TITLES[name]}: {measured['free']:.0f} of {particles} free"] = (
                     plan.trajectories
                 )
     draw_side_by_side(panels, primitive.demonstrations, scene, figure)

@@ -17,9 +17,16 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import AnyOf, Plan, ViaPoint
 
-__all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulate", "modulation_row", "passed_via_points"]
+__all__ = [
+    "COLUMNS",
+    "POINT_TOLERANCE",
+    "end_errors",
+    "modulate",
+    "modulation_row",
+    "passed_via_points",
+]
 
-TOLERANCE = 1.0
+POINT_TOLERANCE = 1.0
 """mm, within which a via-point counts as passed and an end as reached."""
 
 COLUMNS = (
@@ -94,7 +101,7 @@ def modulation_row(
     free = clearances(paths, scene.obstacles) > 0.0
     passed = passed_via_points(paths, scene)
     error = end_errors(paths, scene)
-    reached = error <= TOLERANCE
+    reached = error <= POINT_TOLERANCE
     return {
         "scene": name,
         "method": method,
@@ -109,7 +116,7 @@ def modulation_row(
 
 
 def passed_via_points(paths: FloatArray, scene: LasaScene) -> BoolArray:
-    """Return whether (P,) paths (P, T, 2) pass all via-points within `TOLERANCE` at their phases.
+    """Return whether (P,) paths (P, T, 2) pass all via-points, within `POINT_TOLERANCE`, in time.
 
     Of several to choose from, one is enough.
     """
@@ -122,7 +129,7 @@ def passed_via_points(paths: FloatArray, scene: LasaScene) -> BoolArray:
             assert isinstance(option, ViaPoint)
             points = [[np.interp(option.phase, at, x) for x in path.T] for path in paths]
             distances.append(np.linalg.norm(np.array(points) - option.position, axis=-1))
-        passed &= np.min(distances, axis=0) <= TOLERANCE
+        passed &= np.min(distances, axis=0) <= POINT_TOLERANCE
     return passed
 
 

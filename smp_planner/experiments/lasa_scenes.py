@@ -20,8 +20,8 @@ __all__ = [
     "FIGURE_1",
     "FIGURE_2A",
     "FIGURE_2B",
-    "METHODS",
-    "SMOOTH_STD",
+    "LASA_METHODS",
+    "LASA_SMOOTH_STD",
     "TUNING_SCENES",
     "LasaScene",
     "Method",
@@ -31,7 +31,7 @@ __all__ = [
     "settings",
 ]
 
-SMOOTH_STD = 3.0
+LASA_SMOOTH_STD = 3.0
 """mm, freedom added to what the demonstrations teach, a seventeenth of the S; see `ProMP.fit`."""
 
 _SAMPLES = 1000
@@ -102,7 +102,7 @@ TUNING_SCENES = (
     LasaScene("Sshape", (Circle((-1.0, 35.5), 3.0), Circle((36.0, 7.0), 2.5)), goal=(0.0, 0.0)),
     LasaScene("Sshape", (Circle((8.0, 24.0), 2.5), Circle((37.0, 15.0), 3.5)), goal=(0.0, 0.0)),
 )
-"""Other obstacles across the S, on which `METHODS` were tuned."""
+"""Other obstacles across the S, on which `LASA_METHODS` were tuned."""
 
 
 def settings(
@@ -120,7 +120,7 @@ def settings(
     )
 
 
-METHODS: Mapping[str, Method] = MappingProxyType(
+LASA_METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "promp": Method(adaptation("promp"), settings()),
         "smp": Method(adaptation("smp"), settings(weight=1.0)),
@@ -137,7 +137,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 """Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""
 
 
-def learn(shape: str, smooth_std: float = SMOOTH_STD, modes: int | None = None) -> SMP:
+def learn(shape: str, smooth_std: float = LASA_SMOOTH_STD, modes: int | None = None) -> SMP:
     """Return the primitive of a shape.
 
     Args:

@@ -57,14 +57,14 @@ _START_SHIFT = (-0.06, 0.0, 0.06)
 _FREE, _COLLIDING, _FAINT, _DARK = "#7fa3ee", "#ea8585", "#b9c6de", "#4b5563"
 _MODES = ("#f59e0b", "#059669")
 _BEFORE: dict[str, Any] = {"iterations": 1, "step_size": 1e-12, "retries": 0}
-_TITLES = {
+_TASK_TITLES = {
     "DrawS": "Draw-S",
     "Placement": "Placement",
     "PushLiftBox": "Push-Lift-Box",
     "DoubleSidedPlacement": "Placement on double sides",
 }
 _STILLS = 5
-_LEAST_SHARE = 0.1
+_LEAST_MODE_SHARE = 0.1
 """Share of the good particles that each of two modes must hold."""
 
 _FAR_CAMERA = {"distance": 1.7, "target": (0.32, 0.0, 0.3)}
@@ -116,7 +116,7 @@ def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
             count, done = len(plan.good), int(plan.good.sum())
             axes.set_title(f"{done} of {count} succeed", fontsize=11, color=_DARK, y=-0.05)
         _share_limits(both)
-        name = _TITLES[scene.task]
+        name = _TASK_TITLES[scene.task]
         figure.text(left + width / 2, 0.955, name, fontsize=16, weight="bold", ha="center")
     for height, name in ((0.71, "before adaptation"), (0.245, "after adaptation")):
         figure.text(0.01, height, name, fontsize=13, rotation=90, va="center")
@@ -153,7 +153,7 @@ class TwoModes:
 def _over_and_beside(scene: Scene, plan: Plan) -> list[TwoModes]:
     """Return all pairs of best good particles of two modes, over and beside some obstacle."""
     best = plan.best_of_modes
-    best = best[plan.good[best] & (plan.modes.shares >= _LEAST_SHARE)]
+    best = best[plan.good[best] & (plan.modes.shares >= _LEAST_MODE_SHARE)]
     if plan.signatures is None or len(best) == 0:
         return []
     levels = plan.signatures[best, 1:].reshape(len(best), -1, 2)[..., 1]
@@ -261,7 +261,7 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
         done.append(_film(env, pair.scene, policy.track(pair.plan, particle), video, cells))
         figure.text(0.252, 0.94 - 0.47 * row, name, fontsize=13, weight="bold", color=_MODES[row])
     env.close()
-    figure.text(0.01, 0.945, _TITLES[pair.scene.task], fontsize=15, weight="bold")
+    figure.text(0.01, 0.945, _TASK_TITLES[pair.scene.task], fontsize=15, weight="bold")
     figure.savefig(stills)
     return done[0], done[1]
 

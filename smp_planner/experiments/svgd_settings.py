@@ -14,7 +14,7 @@ from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted, common_ends, reference_of
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
-    SMOOTH_STD,
+    LASA_SMOOTH_STD,
     LasaScene,
     Method,
     learn,
@@ -42,7 +42,7 @@ POSTERIOR = "posterior (SMC)"
 EXACT = "draws of it"
 """Setting in the rows of as many draws from the posterior as there are particles."""
 
-_SETTINGS = settings().model_copy(update={"samples": 200})
+_ADAPT_SETTINGS = settings().model_copy(update={"samples": 200})
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Variant:
     """
 
     scene: LasaScene
-    smooth_std: float = SMOOTH_STD
+    smooth_std: float = LASA_SMOOTH_STD
 
 
 def _scene(*circles: tuple[float, float, float]) -> LasaScene:
@@ -105,7 +105,7 @@ class Ground:
         """
         primitive = learn(variant.scene.shape, variant.smooth_std)
         drawn = tuple(
-            exact_draws(primitive, variant.scene, _SETTINGS, np.random.default_rng(run), smc)
+            exact_draws(primitive, variant.scene, _ADAPT_SETTINGS, np.random.default_rng(run), smc)
             for run in range(runs)
         )
         paths = np.concatenate(drawn)
@@ -126,7 +126,7 @@ class Ground:
             every = len(self.posterior.paths)
             paths = self.posterior.paths[rng.choice(every, particles, replace=False)]
         else:
-            method = Method(adaptation("smp", inference=setting), _SETTINGS)
+            method = Method(adaptation("smp", inference=setting), _ADAPT_SETTINGS)
             paths = adapted(
                 self.primitive, self.variant.scene, method, particles, seed
             ).trajectories

@@ -1,7 +1,7 @@
 """Tuning of each method: the settings with the most free paths on scenes of their own.
 
-Of the settings whose count of free paths is within `CLOSE` of the highest, those are taken whose
-paths are nearest to the unadapted primitive, by the Wasserstein distance.
+Of the settings whose count of free paths is within `COUNT_TOLERANCE` of the highest, those are
+taken whose paths are nearest to the unadapted primitive, by the Wasserstein distance.
 """
 
 from __future__ import annotations
@@ -27,12 +27,20 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row, Spread
 from smp_planner.library.smp import SMP
 
-__all__ = ["CANDIDATES", "CLOSE", "COLUMNS", "FIRST_SEED", "best", "tuning_row", "tuning_rows"]
+__all__ = [
+    "CANDIDATES",
+    "COLUMNS",
+    "COUNT_TOLERANCE",
+    "FIRST_TUNING_SEED",
+    "best",
+    "tuning_row",
+    "tuning_rows",
+]
 
-CLOSE = 0.5
+COUNT_TOLERANCE = 0.5
 """Free paths, out of those of a plan, by which means are taken for equal."""
 
-FIRST_SEED = 1000
+FIRST_TUNING_SEED = 1000
 """Of tuning; evaluations take seeds from 0."""
 
 COLUMNS = (
@@ -87,7 +95,7 @@ def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:
     Args:
         name: of the method.
         particles: P.
-        repetitions: in each scene, with seeds from `FIRST_SEED`.
+        repetitions: in each scene, with seeds from `FIRST_TUNING_SEED`.
     """
     primitive = learn(TUNING_SCENES[0].shape)
     reference = reference_of(primitive)
@@ -95,7 +103,7 @@ def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:
         tuning_row(name, index, primitive, scene, reference, particles, seed)
         for index in track(range(len(CANDIDATES[name])), name)
         for scene in TUNING_SCENES
-        for seed in range(FIRST_SEED, FIRST_SEED + repetitions)
+        for seed in range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + repetitions)
     ]
 
 
@@ -147,7 +155,7 @@ def best(summaries: Sequence[Mapping[str, str | Spread]]) -> int:
     """
     free = np.array([_mean(summary["free"]) for summary in summaries])
     distance = np.array([_mean(summary["wasserstein"]) for summary in summaries])
-    distance[free < free.max() - CLOSE] = np.inf
+    distance[free < free.max() - COUNT_TOLERANCE] = np.inf
     return int(distance.argmin())
 
 

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["JOINT_SMOOTH_STD", "SMOOTH_STD", "AdaptSettings"]
+__all__ = ["JOINT_SMOOTH_STD", "PATH_SMOOTH_STD", "AdaptSettings"]
 
-SMOOTH_STD = 0.1
+PATH_SMOOTH_STD = 0.1
 """Extents, freedom that paths get beside what the demonstrations teach."""
 
 JOINT_SMOOTH_STD = 0.2

@@ -16,7 +16,7 @@ __all__ = ["PAIR_GAP", "with_collision_pairs"]
 PAIR_GAP = 0.01
 """m, least gap of two spheres in all demonstrations from which on they are kept apart."""
 
-_LOOKS = 50
+_CONFIGURATIONS = 50
 
 
 def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]) -> RobotModel:
@@ -29,7 +29,7 @@ def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]
         model: whose `collision_pairs` are not looked at.
         demonstrations: (T_j, n) rad.
     """
-    looks = [d[np.linspace(0, len(d) - 1, _LOOKS).astype(int)] for d in demonstrations]
+    looks = [d[np.linspace(0, len(d) - 1, _CONFIGURATIONS).astype(int)] for d in demonstrations]
     centers = model.sphere_centers(torch.from_numpy(np.concatenate(looks))).numpy()
     link, radius = model.link, model.radius
     pairs = []

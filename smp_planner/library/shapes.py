@@ -17,7 +17,7 @@ from smp_planner.library.frame import Frame
 
 __all__ = ["Circle", "PathObstacle", "Rectangle", "bodies", "outline"]
 
-_DEPTH = 1.0
+_COLUMN_HALF_HEIGHT = 1.0
 """Half height, in extents, of the columns that plane obstacles are; paths run at half height."""
 
 
@@ -124,7 +124,9 @@ def _body(obstacle: Circle | Rectangle | Obstacle, frame: Frame) -> Obstacle:
     if isinstance(obstacle, Circle):
         radius = float(frame.lengths_inwards(obstacle.radius))
         return Obstacle(
-            shape="cylinder", position=position, size=(radius, radius, max(radius, _DEPTH))
+            shape="cylinder",
+            position=position,
+            size=(radius, radius, max(radius, _COLUMN_HALF_HEIGHT)),
         )
     x, y = frame.lengths_inwards(obstacle.half_extents).tolist()
     half = obstacle.angle / 2
@@ -132,7 +134,7 @@ def _body(obstacle: Circle | Rectangle | Obstacle, frame: Frame) -> Obstacle:
         shape="box",
         position=position,
         quaternion=(0.0, 0.0, math.sin(half), math.cos(half)),
-        size=(x, y, max(x, y, _DEPTH)),
+        size=(x, y, max(x, y, _COLUMN_HALF_HEIGHT)),
     )
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import Adaptation, adaptation
-from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, SMOOTH_STD, AdaptSettings
+from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, PATH_SMOOTH_STD, AdaptSettings
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
@@ -114,7 +114,7 @@ class SMP:
                 dimension or not that of the robot, a number that is not finite, all of them one
                 point, or more modes than there are demonstrations for.
         """
-        freedom = SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
+        freedom = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
         learning = PriorSettings(**{"smooth_std": freedom, **settings})
         given = demonstrations_of(demonstrations, nan_is_missing=learning.nan_is_missing)
         return cls(given, learning, robot)

@@ -12,7 +12,7 @@ from smp_planner.movement_primitives.promp import ProMP
 
 __all__ = ["blend"]
 
-_CERTAIN = 1e-6
+_CERTAIN_SHARE = 1e-6
 """Standard deviation, over the largest of the primitive, under which its precision is lost to
 rounding."""
 
@@ -87,7 +87,7 @@ def _precisions(deviation: Tensor, activation: Tensor, index: int, at: Tensor) -
     active = activation > 0
     covariance = deviation @ deviation.mT
     variances = torch.linalg.eigvalsh(covariance)
-    certain = active & (variances[:, 0] <= _CERTAIN**2 * variances.max())
+    certain = active & (variances[:, 0] <= _CERTAIN_SHARE**2 * variances.max())
     if bool(certain.any()):
         raise ValueError(
             f"primitives[{index}] is certain at phase {float(at[certain][0]):.3g}, where another "

@@ -22,17 +22,17 @@ from smp_planner.movement_primitives.em import fitted_weights
 from smp_planner.movement_primitives.promp import ProMP
 from smp_planner.movement_primitives.samples import checked_demonstrations
 
-__all__ = ["FEWEST", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
+__all__ = ["LEAST_MODE_SIZE", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
 
 SEPARATION = 2.4
 """Distance of the means of two groups, over the sum of their radii, from which they are modes. The
 halves of one group lie nearer, at 1.3 if it is Gaussian along a line and at 1.7 if it is uniform;
 of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % look like modes."""
 
-FEWEST = 3
+LEAST_MODE_SIZE = 3
 """Demonstrations that make a mode; fewer are odd ones of another."""
 
-_SAMPLES = 200
+_COMPARED_PHASES = 200
 """Phases over which the distance of two paths is averaged."""
 
 
@@ -49,7 +49,7 @@ def demonstrated_modes(
     paths, root mean square over phase. A group is divided by 2-means, begun at the two members
     that are farthest apart, if the two halves lie `SEPARATION` times farther from each other than
     their radii (root mean square distance from the mean) amount to; then their halves are looked
-    at. Fewer than `FEWEST` demonstrations are no mode.
+    at. Fewer than `LEAST_MODE_SIZE` demonstrations are no mode.
 
     If it is known how many there are, the group whose division takes the most from the sum of
     squares is divided, until there are so many.
@@ -72,7 +72,7 @@ def demonstrated_modes(
             f"modes must be 1 .. {most}, as a primitive is learned from two demonstrations at "
             f"least and there are {len(checked)}; got {modes}"
         )
-    root = basis.path_root(_SAMPLES)
+    root = basis.path_root(_COMPARED_PHASES)
     weights = [fitted_weights(d.detach().cpu().double()[None], basis)[0] for d in checked]
     points = torch.stack([(root @ w.unflatten(0, (basis.count, -1))).flatten() for w in weights])
     if modes is None:
@@ -85,7 +85,7 @@ def demonstrated_modes(
 
 def _divided(points: NDArray[np.float64], group: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
     parts = _halves(points, group)
-    if min(map(len, parts)) < FEWEST:
+    if min(map(len, parts)) < LEAST_MODE_SIZE:
         return (group,)
     means = [points[list(part)].mean(axis=0) for part in parts]
     radii = [math.sqrt(_sum_of_squares(points, part) / len(part)) for part in parts]

@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 
 from smp_gym.geometry.distance import check_points
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid
-from smp_planner.occupancy.neural import INFLATION, NEAR, UNIFORM_SHARE, PointNetworkMap
+from smp_planner.occupancy.neural import INFLATION, SAMPLING_BAND, UNIFORM_SHARE, PointNetworkMap
 
 __all__ = ["LearnedCloud", "label_point_cloud"]
 
-_LAYER = 0.01
+_LAYER_SPACING = 0.01
 """Metres between the layers of points that stand for what is behind a surface."""
 
 
@@ -113,15 +113,15 @@ def label_point_cloud(
         raise ValueError(
             f"sensor must not be a point of the cloud, got {origin[lengths[:, 0] == 0][0]}"
         )
-    depths = np.linspace(0.0, thickness, 1 + math.ceil(thickness / _LAYER))
+    depths = np.linspace(0.0, thickness, 1 + math.ceil(thickness / _LAYER_SPACING))
     solid = (surface + depths[:, None, None] * (rays / lengths)).reshape(-1, 3)
     tree = cKDTree(solid)
 
     points = rng.uniform(lower, upper, (int(UNIFORM_SHARE * count), 3))
-    reach = inflation + NEAR
+    reach = inflation + SAMPLING_BAND
     while len(points) < count:
         drawn = solid[rng.integers(len(solid), size=count)] + rng.uniform(-reach, reach, (count, 3))
-        near = np.abs(tree.query(drawn)[0] - inflation) < NEAR
+        near = np.abs(tree.query(drawn)[0] - inflation) < SAMPLING_BAND
         points = np.concatenate(
             [points, drawn[near & ((drawn >= lower) & (drawn <= upper)).all(axis=1)]]
         )

@@ -55,7 +55,7 @@ TOLERANCE_STDS = 3.0
 
 _VIA_ITERATIONS = 8
 
-_CERTAIN = 1e-6
+_LEAST_STD = 1e-6
 """Extents, standard deviation that evidence is computed with where a primitive has none."""
 
 _ROUNDING = 1e-9
@@ -226,7 +226,7 @@ class Place:
             noise = torch.full_like(value, (self.tolerance / TOLERANCE_STDS) ** 2)
         mean, covariance = primitive.marginal(phase)
         density = torch.distributions.MultivariateNormal(
-            mean, covariance + torch.diag(noise + _CERTAIN**2)
+            mean, covariance + torch.diag(noise + _LEAST_STD**2)
         )
         evidence = math.log(self.share) + float(density.log_prob(value))
         return primitive.condition(phase, value, noise), evidence

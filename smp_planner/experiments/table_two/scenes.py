@@ -59,12 +59,12 @@ def shared_prior(task: str) -> Prior:
 
 DIFFICULTY = "medium"
 MOST_SEEDS = 200
-LEAST_SHARE = 0.1
+LEAST_SUCCESS_SHARE = 0.1
 
 RULE = (
     f"the first tuning seed of difficulty {DIFFICULTY} in which the mean of the conditioned "
     f"primitive collides, while smp and each baseline, with a component of its own for each mode, "
-    f"plans at least {LEAST_SHARE:.0%} of its particles with success (policy seed 0)"
+    f"plans at least {LEAST_SUCCESS_SHARE:.0%} of its particles with success (policy seed 0)"
 )
 """Conditions on a scene. Where a method had no successful trajectory, its similarity could not be
 compared over those; the rule asks the same of all methods."""
@@ -87,7 +87,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
-        methods: of which each must succeed with `LEAST_SHARE` of its particles.
+        methods: of which each must succeed with `LEAST_SUCCESS_SHARE` of its particles.
 
     Raises:
         RuntimeError: none of the first `MOST_SEEDS` seeds is such a scene.
@@ -100,7 +100,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
         for seed in range(MOST_SEEDS):
             observation, _ = env.reset(seed=seed)
             if _mean_collides(prior, policies[0], observation) and all(
-                _share(policy, observation) >= LEAST_SHARE for policy in policies
+                _share(policy, observation) >= LEAST_SUCCESS_SHARE for policy in policies
             ):
                 return sample_scene(task, DIFFICULTY, seed)
     finally:

@@ -20,7 +20,7 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.collision.verification import TOLERANCE, minimum_duration
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, minimum_duration
 from smp_planner.planners.rrt_connect.layered_search import path_through
 from smp_planner.planners.rrt_connect.shortcutting import (
     path_length,
@@ -71,7 +71,7 @@ class RRTConnectSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(default=4, ge=1)
-    margin: float = Field(default=0.005, ge=TOLERANCE, allow_inf_nan=False)
+    margin: float = Field(default=0.005, ge=CLEARANCE_TOLERANCE, allow_inf_nan=False)
     iterations: int = Field(default=5_000, ge=1)
     step: float = Field(default=0.5, gt=0.0, allow_inf_nan=False)
     postures: int = Field(default=64, ge=1)
@@ -174,7 +174,7 @@ class _Search:
         """
         stages = [s for s in self.problem.stages if s.first < last and s.last > first]
         bodies = [(s.body.model, s.obstacles) for s in stages if isinstance(s.body, RobotBody)]
-        for margin in (self.settings.margin, TOLERANCE):
+        for margin in (self.settings.margin, CLEARANCE_TOLERANCE):
             checker = EdgeChecker.of_all(bodies, margin)
             if all(checker.configurations_free(layer).any() for layer in ends):
                 break

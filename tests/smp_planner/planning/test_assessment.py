@@ -17,7 +17,7 @@ from smp_gym.robot.kinematics import (
     sphere_centers,
 )
 from smp_gym.scene import Obstacle
-from smp_planner.collision.verification import TOLERANCE
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planners import make_planner
 from smp_planner.planning.assessment import free_waypoints, signatures
 from smp_planner.planning.modes import group
@@ -179,8 +179,8 @@ def test_waypoints_are_free_where_spheres_keep_clear():
     clearance = (signed_distance(centers, (obstacle,)) - spheres.radius[moving]).min(axis=1)
     gap = clearance.reshape(2, 60)
     found = free_waypoints(problem, trajectories)
-    assert (gap[0] > 2 * TOLERANCE).any()
+    assert (gap[0] > 2 * CLEARANCE_TOLERANCE).any()
     assert (gap[0] < 0).any()
     # Between once and twice the tolerance, either answer is right.
-    assert found[gap > 2 * TOLERANCE].all()
-    assert not found[gap < TOLERANCE].any()
+    assert found[gap > 2 * CLEARANCE_TOLERANCE].all()
+    assert not found[gap < CLEARANCE_TOLERANCE].any()
