@@ -74,7 +74,7 @@ def arm(
 ) -> None:
     """Plan in scenes of the tasks with each setting; CSV, JSON and Markdown to OUT.
 
-    Nothing is executed: sets are judged by the planners' exact check.
+    Nothing is executed: sets are assessed by the planners' exact check.
 
     Example: python scripts/svgd_settings.py arm --tasks Placement --scenes 5 --jobs 4
     """
@@ -91,7 +91,7 @@ def arm(
     note = (
         f"Mean ± standard deviation over {scenes} scenes of difficulty {difficulty}, seeds from "
         f"{seed} on, one plan each without another try; the reference of similarity is the "
-        "primitive tied to the scene's start and goal."
+        "primitive conditioned on the scene's start and goal."
     )
     report(rows, ("task", "prior", "variant"), arm_settings.COLUMNS, out, "arm", note)
 

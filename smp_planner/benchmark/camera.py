@@ -28,7 +28,7 @@ _BORDER = 0.03
 
 @dataclass(frozen=True)
 class Camera:
-    """A perspective camera that looks at a point.
+    """A perspective camera directed at a point.
 
     Attributes:
         target: (3,) m, in the middle of the picture.
@@ -100,7 +100,7 @@ class Painter:
         self._pieces.append((depth or float(depths.mean()), flat, face, edge, width))
 
     def body(self, body: Obstacle, color: str, alpha: float = 1.0) -> None:
-        """Add the faces of a convex body that look at the camera, lit from above."""
+        """Add the faces of a convex body that face the camera, lit from above."""
         centre = np.array(body.position)
         for face in body_faces(body):
             normal = _normal(face, centre)

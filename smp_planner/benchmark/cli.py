@@ -1,4 +1,4 @@
-"""The command ``smp-bench``: measure methods, look at results, draw one episode."""
+"""The command ``smp-bench``: measure methods, show results, draw one episode."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def run(
 
 
 def _manifest(*arguments: Any, **options: Any) -> Manifest:
-    """Return `make_manifest` of arguments; modules of one's own are looked for here, too."""
+    """Return `make_manifest` of arguments; modules of one's own are found here, too."""
     from smp_planner.benchmark.manifest import make_manifest
 
     if os.getcwd() not in sys.path:

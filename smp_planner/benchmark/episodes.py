@@ -1,4 +1,4 @@
-"""One episode of the benchmark: which it is, how it is played, and the row that is kept of it."""
+"""One episode of the benchmark: its key, its rollout, and its row of results."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class EpisodeRow:
         seed: of the episode.
         success: whether the physics engine judged the episode a success.
         collision: whether a forbidden contact ended it.
-        cause: why it failed; empty after a success.
+        cause: of the failure; empty after a success.
         contact: the two parts of the forbidden contact, if there was one.
         goal_error: distance from the object's centre, or the pen, to where it should end, when the
             episode ended, m.
@@ -134,7 +134,7 @@ class EpisodeRow:
 
 
 class EpisodePlayer(Protocol):
-    """Anything that plays an episode by its key; must be picklable."""
+    """Protocol of what plays an episode by its key; must be picklable."""
 
     def __call__(self, key: EpisodeKey) -> EpisodeRow:
         """Return the row of one episode."""

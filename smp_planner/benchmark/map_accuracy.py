@@ -100,7 +100,7 @@ def measure(
 
 
 def measure_default_map(scenes: Sequence[Scene]) -> MapAccuracy | None:
-    """Return the accuracy of the map that planners use when they are told nothing else."""
+    """Return the accuracy of the map that planners use by default."""
     networks = default_networks()
     grids = [bake(ShapeNetworkMap((*s.obstacles, *fixtures(s)), networks)) for s in scenes]
     return measure(scenes, grids, np.random.default_rng(0))

@@ -35,7 +35,7 @@ _GROWING = "episodes"
 
 
 class KeyedRow(Protocol):
-    """A dataclass of what is kept of one piece of work."""
+    """Protocol of rows: dataclasses that record one piece of work each."""
 
     @property
     def key(self) -> Any:

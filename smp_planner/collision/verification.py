@@ -70,7 +70,7 @@ class CollisionCheck:
 
 @dataclass(frozen=True)
 class Verification:
-    """All that decides whether trajectories can be executed, for P of them.
+    """Results of all checks of P trajectories: collisions, joint limits, duration.
 
     Attributes:
         collision_free: (P,) as `CollisionCheck.free`.

@@ -1,7 +1,7 @@
 """Settings of Stein variational gradient descent side by side, on scenes of the tasks.
 
-Nothing is executed: what is compared are whole sets of particles, as the planners' exact check
-judges them. Particles are *good* if they are collision-free, executable within the joint limits and
+Nothing is executed: what is compared are whole sets of particles, by the planners' exact check.
+Particles are *good* if they are collision-free, executable within the joint limits and
 pass all via-points.
 """
 
@@ -44,7 +44,7 @@ COMPARED_SETTINGS: dict[str, dict[str, Any]] = {
 Without repulsion each particle ascends its own gradient: independent restarts."""
 
 PRIOR_WIDTHS: dict[str, float] = {"usual": 1.0, "narrow": 0.5}
-"""Factor of the freedom that is added to what the demonstrations teach (`smooth_std`)."""
+"""Factor of the standard deviation that is added to what the demonstrations teach, `smooth_std`."""
 
 COLUMNS = (
     Column("task", "Task"),
@@ -116,7 +116,7 @@ def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
 
 @lru_cache(maxsize=4)
 def _reference(task: str, prior: str, difficulty: str, seed: int) -> FloatArray:
-    """Return draws (R, T, 3) m of the primitive tied to the scene's start and goal."""
+    """Return draws (R, T, 3) m of the primitive conditioned on the scene's start and goal."""
     policy = _policy(task, prior, "promp", "default")
     problem = _problem(policy, task, difficulty, seed)
     (plan,) = policy.planner.plan([problem])

@@ -1,4 +1,4 @@
-"""Table I: how many ends stay in a region, with and without the smooth box prior.
+"""Table I: numbers of ends in a region, with and without the smooth box prior.
 
 The paper gives neither region nor scene. The reading taken: obstacles move all of a path, its ends
 too, which are not conditioned on. The region is fixed beforehand: the box of two standard

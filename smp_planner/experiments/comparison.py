@@ -136,7 +136,7 @@ def reference_of(primitive: SMP) -> FloatArray:
 def measure(
     paths: FloatArray, primitive: SMP, scene: LasaScene, reference: FloatArray
 ) -> dict[str, float | None]:
-    """Return what is measured of a set of paths: a row without its method and repetition.
+    """Return the measures of a set of paths: a row without its method and repetition.
 
     Homotopy classes are told apart by the winding numbers of the free paths, and counted; `entropy`
     is that of their shares. Measures of free paths are None where none is free.

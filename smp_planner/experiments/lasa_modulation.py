@@ -1,4 +1,4 @@
-"""New ends and via-points, Fig. 2: how many paths reach what they are modulated to."""
+"""New ends and via-points, Fig. 2: numbers of paths that reach them."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def modulate(
 def modulation_row(
     name: str, method: str, scene: LasaScene, plan: Plan, seed: int
 ) -> dict[str, str | float | None]:
-    """Return what of a plan's paths is as wanted.
+    """Return how many of a plan's paths meet each of the constraints.
 
     Args:
         name: of the scene.
@@ -122,8 +122,8 @@ def passed_via_points(paths: FloatArray, scene: LasaScene) -> BoolArray:
     """
     passed = np.ones(len(paths), np.bool_)
     at = np.linspace(0.0, 1.0, paths.shape[1])
-    for wanted in scene.via_points:
-        options = wanted.options if isinstance(wanted, AnyOf) else (wanted,)
+    for via in scene.via_points:
+        options = via.options if isinstance(via, AnyOf) else (via,)
         distances = []
         for option in options:
             assert isinstance(option, ViaPoint)

@@ -1,4 +1,4 @@
-"""The scenes of the LASA experiments, Sec. V-A, and what each method is set to in them.
+"""The scenes of the LASA experiments, Sec. V-A, and the settings of each method in them.
 
 The paper does not state where its obstacles, via-points and new ends lie. Those here are ours, in
 the millimetres of the data.
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 LASA_SMOOTH_STD = 3.0
-"""mm, freedom added to what the demonstrations teach, a seventeenth of the S; see `ProMP.fit`."""
+"""mm, deviation added to what the demonstrations teach, 1/17 of the S; see `ProMP.fit`."""
 
 _SAMPLES = 1000
 """T of adapted paths: between samples, a path leaves the straight line by microns only."""
@@ -203,8 +203,8 @@ def described(scene: LasaScene) -> str:
     """Return a scene in words."""
     circles = [f"({o.center[0]:g}, {o.center[1]:g}) radius {o.radius:g}" for o in scene.obstacles]
     text = f"{scene.shape}, obstacles {', '.join(circles) or 'none'}"
-    for wanted in scene.via_points:
-        options = wanted.options if isinstance(wanted, AnyOf) else (wanted,)
+    for via in scene.via_points:
+        options = via.options if isinstance(via, AnyOf) else (via,)
         places = [
             f"({o.position[0]:g}, {o.position[1]:g}) at phase {o.phase:g}"
             for o in options

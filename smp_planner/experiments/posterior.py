@@ -1,4 +1,4 @@
-"""The exact posterior p(w|O) of a scene in the plane, and how near to it sets of particles come.
+"""The exact posterior p(w|O) of a scene in the plane, and the distance of particle sets to it.
 
 Particles of SVGD, of one Gaussian, or on their own may all be free and yet be no draw from the
 posterior: homotopy classes may have other weights in them, and paths of one class too little
@@ -126,7 +126,7 @@ def within_spread(paths: FloatArray, signatures: IntArray) -> float | None:
 def posterior_row(
     name: str, paths: FloatArray, signatures: IntArray, reference: Reference, scene: LasaScene
 ) -> dict[str, str | float | None]:
-    """Return how near a set of particles comes to the exact posterior.
+    """Return measures of a set of particles against the exact posterior.
 
     `variation` is the total variation distance of the classes' weights; `wasserstein_exact` the
     distance to the posterior's paths; `diversity` the mean distance of two paths, and `spread`

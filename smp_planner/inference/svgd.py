@@ -75,7 +75,7 @@ class SVGDSettings:
     Attributes:
         whiten: whether particles are the standard normals z of the weights (`ProMP.whiten`), which
             amounts to a constant matrix-valued kernel, or the weights themselves. The caller passes
-            particles and scores in these coordinates; `step` does not look at it.
+            particles and scores in these coordinates; `step` does not use it.
         kernel: between particles.
         optimizer: turns the Stein direction into a change.
         step_size: of the first iteration.
@@ -219,8 +219,8 @@ def step(
         prior_score: (..., P, d) gradient of the log-prior at the particles.
         likelihood_score: (..., P, d) gradient of the log-likelihood, -λ ∇C.
         settings: the same as for `init`.
-        validate: whether to look if scores are finite, for which a device has to be waited for;
-            who says no looks at the particles in the end.
+        validate: whether to check that scores are finite, for which a device has to be waited for;
+            a caller who does not checks the particles in the end.
 
     Raises:
         ValueError: a score has another shape than the particles or is not finite, or all

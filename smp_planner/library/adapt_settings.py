@@ -11,7 +11,7 @@ from smp_planner.planning.settings import PlanSettings
 __all__ = ["JOINT_SMOOTH_STD", "PATH_SMOOTH_STD", "AdaptSettings"]
 
 PATH_SMOOTH_STD = 0.1
-"""Extents, freedom that paths get beside what the demonstrations teach."""
+"""Extents, standard deviation added to paths beside what the demonstrations teach."""
 
 JOINT_SMOOTH_STD = 0.2
 """rad, likewise for the joints of a robot."""

@@ -1,7 +1,7 @@
 """A point cloud as an obstacle, and the map that the paper's network learns of it, Eq. (12).
 
 A camera gives no bodies: the map is all that is known of the scene, so that plans are made and
-judged on it. It is learned once for a cloud and a workspace and kept with the cloud.
+assessed on it. It is learned once for a cloud and a workspace and kept with the cloud.
 """
 
 from __future__ import annotations

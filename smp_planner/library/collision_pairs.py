@@ -17,20 +17,21 @@ PAIR_GAP = 0.01
 """m, least gap of two spheres in all demonstrations from which on they are kept apart."""
 
 _CONFIGURATIONS = 50
+"""Configurations of each demonstration in which gaps are measured."""
 
 
 def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]) -> RobotModel:
-    """Return a robot that knows which of its spheres must stay clear of each other.
+    """Return a robot with the pairs of its spheres that must stay clear of each other.
 
     Those of links that are not neighbours, unless they come nearer than `PAIR_GAP` in a
     demonstration: spheres reach beyond what they cover, and demonstrations are free.
 
     Args:
-        model: whose `collision_pairs` are not looked at.
+        model: whose `collision_pairs` are replaced.
         demonstrations: (T_j, n) rad.
     """
-    looks = [d[np.linspace(0, len(d) - 1, _CONFIGURATIONS).astype(int)] for d in demonstrations]
-    centers = model.sphere_centers(torch.from_numpy(np.concatenate(looks))).numpy()
+    shown = [d[np.linspace(0, len(d) - 1, _CONFIGURATIONS).astype(int)] for d in demonstrations]
+    centers = model.sphere_centers(torch.from_numpy(np.concatenate(shown))).numpy()
     link, radius = model.link, model.radius
     pairs = []
     for first in range(len(link)):

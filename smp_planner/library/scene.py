@@ -30,7 +30,7 @@ _MAP_MARGIN = 0.25
 
 _CLOUD_MARGIN = 0.5
 """Extents around demonstrations within which a point cloud is learned. It is more, since such a map
-also judges paths, and one map serves starts and ends that lie `_MAP_MARGIN` inside."""
+also serves the check of paths, and one map serves starts and ends that lie `_MAP_MARGIN` inside."""
 
 _MAP_HALF_HEIGHT = 0.05
 """Extents that it covers above and below the plane in which paths are."""
@@ -72,7 +72,7 @@ class Scene:
                 "make one, with a sensor for each point"
             )
         self._cloud = clouds[0] if clouds else None
-        # The cloud is looked at after all bodies.
+        # The cloud is checked after all bodies.
         self._order = sorted(range(len(obstacles)), key=lambda i: obstacles[i] is self._cloud)
         self._obstacle_frame = frame if robot is None else Frame(np.zeros(3), 1.0)
         self._bodies = bodies(obstacles, self._obstacle_frame)

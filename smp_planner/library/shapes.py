@@ -93,12 +93,12 @@ def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, .
         raise ValueError(
             f"obstacles need a path in the plane or in space, or a robot; got D = {dimension}"
         )
-    wanted: Any = (Circle, Rectangle) if dimension == 2 else Obstacle
+    allowed: Any = (Circle, Rectangle) if dimension == 2 else Obstacle
     placed = []
     for index, obstacle in enumerate(obstacles):
         if isinstance(obstacle, PointCloud) and dimension == 3:
             continue
-        if not isinstance(obstacle, wanted):
+        if not isinstance(obstacle, allowed):
             names = (
                 "Circle or Rectangle"
                 if dimension == 2

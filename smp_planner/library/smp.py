@@ -26,7 +26,7 @@ from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.reading import demonstrations_of
-from smp_planner.library.requests import Wanted, constraints_of
+from smp_planner.library.requests import Request, constraints_of
 from smp_planner.library.scene import Scene
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
@@ -97,7 +97,7 @@ class SMP:
     def fit(cls, demonstrations: Any, robot: Robot | None = None, **settings: Any) -> SMP:
         """Learn a primitive from demonstrations.
 
-        A coordinate that is constant in all of them stays allowed: its freedom is the one that is
+        A coordinate that is constant in all of them stays allowed: its variance is the one that is
         added (`PriorSettings.smooth_std`).
 
         Args:
@@ -114,8 +114,8 @@ class SMP:
                 dimension or not that of the robot, a number that is not finite, all of them one
                 point, or more modes than there are demonstrations for.
         """
-        freedom = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
-        learning = PriorSettings(**{"smooth_std": freedom, **settings})
+        smooth_std = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
+        learning = PriorSettings(**{"smooth_std": smooth_std, **settings})
         given = demonstrations_of(demonstrations, nan_is_missing=learning.nan_is_missing)
         return cls(given, learning, robot)
 
@@ -159,8 +159,8 @@ class SMP:
         self,
         obstacles: Sequence[PathObstacle] | PointCloud = (),
         *,
-        start: Wanted | None = None,
-        goal: Wanted | None = None,
+        start: Request | None = None,
+        goal: Request | None = None,
         via_points: Sequence[ViaPoint | AnyOf] = (),
         radius: float = 0.0,
         particles: int = 42,

@@ -86,7 +86,7 @@ class Robot:
         What hangs on the chain beside it, such as fingers, moves with the link that it hangs on.
 
         Args:
-            path: the file; meshes are looked for relative to it, `package://` names among the
+            path: the file; meshes are found relative to it, `package://` names among the
                 folders above it.
             tip: link whose origin is the tool.
             held: joints that stand still, and where (rad or m). Joints beside the chain that are

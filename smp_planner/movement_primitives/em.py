@@ -47,7 +47,7 @@ class EMSettings:
 
     Attributes:
         prior_std: standard deviation of a weight under the prior of Σ_w, rad. Divided among N + 1
-            it is about 0.01 for seven demonstrations: nothing beside the freedom that is added
+            it is about 0.01 for seven demonstrations: nothing beside the covariance that is added
             later, but the condition number of Σ_w, on which methods that work on raw weights
             depend, falls with its square.
         prior_count: weight of that prior, in demonstrations.
@@ -81,7 +81,7 @@ class _Pattern(NamedTuple):
         values: (t, K) basis functions at those samples.
         rows: (t,) which samples.
         precision: (D, D) inverse of Σ_y between the dimensions present, zero elsewhere.
-        imputation: (D, D) from the noise, of which only the dimensions present are looked at, to
+        imputation: (D, D) from the noise, of which only the dimensions present are used, to
             the mean of it all; the identity if all are present.
         remainder: (D, D) covariance of it all given the dimensions present.
         log_determinant: of the square root of Σ_y between the dimensions present.

@@ -27,7 +27,7 @@ __all__ = ["LEAST_MODE_SIZE", "SEPARATION", "ProMPMixture", "demonstrated_modes"
 SEPARATION = 2.4
 """Distance of the means of two groups, over the sum of their radii, from which they are modes. The
 halves of one group lie nearer, at 1.3 if it is Gaussian along a line and at 1.7 if it is uniform;
-of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % look like modes."""
+of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % pass for modes."""
 
 LEAST_MODE_SIZE = 3
 """Demonstrations that make a mode; fewer are odd ones of another."""
@@ -48,8 +48,8 @@ def demonstrated_modes(
     Each demonstration is given the weights that fit it best; the distance of two is that of their
     paths, root mean square over phase. A group is divided by 2-means, begun at the two members
     that are farthest apart, if the two halves lie `SEPARATION` times farther from each other than
-    their radii (root mean square distance from the mean) amount to; then their halves are looked
-    at. Fewer than `LEAST_MODE_SIZE` demonstrations are no mode.
+    the sum of their radii (root mean square distances from the mean); then their halves are
+    tried. Fewer than `LEAST_MODE_SIZE` demonstrations are no mode.
 
     If it is known how many there are, the group whose division takes the most from the sum of
     squares is divided, until there are so many.

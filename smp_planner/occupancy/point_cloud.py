@@ -1,4 +1,4 @@
-"""Labelled points from a point cloud, as a depth camera gives one: what `train_map` learns from.
+"""Labelled points from a point cloud, as of a depth camera, for `train_map`.
 
 A camera sees the front of things. What lies behind a seen surface, within a thickness, is taken for
 occupied, and all else that was not seen for free.

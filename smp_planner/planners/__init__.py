@@ -1,10 +1,10 @@
 """The planners of this package by name, with their settings per task (`settings.json`).
 
-`smp` and the baselines have equal freedom on a task, so that they start from one prior. The
+`smp` and the baselines have equal `smooth_std` on a task, so that they start from one prior. The
 checkpoints of a stroke hold the pen all along, so a path round an obstacle is short and sharp: it
-needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
+needs a wider prior, and obstacles that outweigh what holds it. A push holds the middle of the
 trajectory, so what comes before and after it is short and must bend more sharply, too; fewer
-iterations do then. On both, `smp` has freedom of a shorter length scale over a finer basis than the
+iterations do then. On both, `smp` has a prior of a shorter length scale over a finer basis than the
 paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it is not
 needed, have not.
 
@@ -32,7 +32,7 @@ __all__ = ["PLANNERS", "ConfiguredPlanner", "make_planner", "task_settings"]
 
 
 class ConfiguredPlanner(Planner, Protocol):
-    """A planner of this package, which tells its settings."""
+    """A planner of this package, with its settings."""
 
     @property
     def settings(self) -> dict[str, Any]:

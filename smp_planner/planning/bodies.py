@@ -269,7 +269,7 @@ def exact_map(obstacles: tuple[Obstacle, ...]) -> DistanceMap:
 
 
 def _nearest_of(first: DistanceMap, second: DistanceMap) -> DistanceMap:
-    """Return the distance to what either of two maps knows."""
+    """Return the minimum of two distance maps."""
 
     def query(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         (distance, away), (other, other_away) = first(points), second(points)

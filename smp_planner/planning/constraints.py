@@ -164,7 +164,7 @@ class Exactly:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """The phase at which it holds."""
+        """Phase of the position or velocity."""
         return (self.phase,)
 
     def condition(self, primitive: ProMP, settings: PlanSettings) -> list[tuple[ProMP, float]]:
@@ -314,7 +314,7 @@ class Reaching:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """The end."""
+        """Phase of the end, 1."""
         return (1.0,)
 
     def distances(self, trajectories: FloatArray) -> FloatArray:
@@ -365,8 +365,8 @@ class Reaching:
         jacobian = self.robot.carried_points(posture, goal.point)[1] / GOAL_STD
         information = jacobian.T @ jacobian + np.eye(len(posture)) / POSTURE_STD**2
         noise = torch.from_numpy(np.linalg.inv(information))
-        tied = primitive.condition(1.0, torch.from_numpy(posture), (noise + noise.mT) / 2)
-        return [(tied, 0.0)]
+        posterior = primitive.condition(1.0, torch.from_numpy(posture), (noise + noise.mT) / 2)
+        return [(posterior, 0.0)]
 
     def slack(self, settings: PlanSettings) -> float:
         """Return the settings' `sigma`."""

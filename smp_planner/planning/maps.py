@@ -88,7 +88,7 @@ class SceneMaps:
 
 
 def lowered(grid: DistanceGrid, other: OccupancyMap) -> DistanceGrid:
-    """Return a grid that knows of what another map knows, too, as far as it reaches."""
+    """Return the minimum of a grid and of another map, as far as that reaches."""
     values = grid.values.copy()
     other.fill(values, grid.origin, grid.spacing)
     return DistanceGrid(grid.origin, grid.spacing, values)

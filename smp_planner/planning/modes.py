@@ -257,8 +257,8 @@ def _finite(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Float
         allowed in (None, size) for allowed, size in zip(shape, array.shape, strict=True)
     )
     if not matches:
-        wanted = tuple("any" if size is None else size for size in shape)
-        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+        expected = tuple("any" if size is None else size for size in shape)
+        raise ValueError(f"{name} must have shape {expected}, got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array}")
     return array

@@ -115,16 +115,16 @@ def condition(
     for constraint in constraints:
         grown = [
             (conditioned, weight + evidence)
-            for tied, weight in found
-            for conditioned, evidence in constraint.condition(tied, settings)
+            for posterior, weight in found
+            for conditioned, evidence in constraint.condition(posterior, settings)
         ]
         best = max(weight for _, weight in grown)
         found = [
-            (tied, weight - best)
-            for tied, weight in grown
+            (posterior, weight - best)
+            for posterior, weight in grown
             if weight - best > -math.log(2.0 * settings.particles)
         ]
-    return [(tied, math.exp(weight)) for tied, weight in found]
+    return [(posterior, math.exp(weight)) for posterior, weight in found]
 
 
 def conditioned_parts(
@@ -139,27 +139,27 @@ def conditioned_parts(
         prior: learned from demonstrations.
         problem: to be solved.
         settings: number of particles, and whether constraints are conditioned on.
-        width: factor of the prior's added freedom, at least 1.
+        width: factor of the prior's added standard deviation, at least 1.
 
     Raises:
         UnreachableError: no component reaches a goal.
     """
     constraints = problem.constraints if settings.modulation == "exact" else ()
-    tied: dict[int, list[tuple[ProMP, float]]] = {}
+    posteriors: dict[int, list[tuple[ProMP, float]]] = {}
     unreachable: UnreachableError | None = None
     for index, component in enumerate(prior.components(width)):
         try:
-            tied[index] = condition(component, constraints, settings)
+            posteriors[index] = condition(component, constraints, settings)
         except UnreachableError as error:
             unreachable = error
-    if not tied:
+    if not posteriors:
         assert unreachable is not None
         raise unreachable
-    shares = [float(prior.used.shares[index]) for index in tied]
+    shares = [float(prior.used.shares[index]) for index in posteriors]
     rng = np.random.default_rng(problem.seed)
     parts = []
     for (index, branches), count in zip(
-        tied.items(), shared_out(settings.particles, shares), strict=True
+        posteriors.items(), shared_out(settings.particles, shares), strict=True
     ):
         counts = shared_out(count, [share for _, share in branches])
         for number, ((primitive, _), drawn) in enumerate(zip(branches, counts, strict=True)):
@@ -189,9 +189,9 @@ def plan_problems(
 ) -> list[Plan]:
     """Return one plan for each problem; the same problem gives the same plan.
 
-    A problem without a good particle is tried again with twice the added freedom, as often as
-    `PlanSettings.retries` says; of tries that all fail, the first has the demonstrations' own
-    freedom and is taken. What is not adapted is not tried again.
+    A problem without a good particle is tried again with twice the added deviation, as often as
+    `PlanSettings.retries` says; of tries that all fail, the first, with the prior as learned, is
+    taken. What is not adapted is not tried again.
 
     Args:
         problems: to be solved.

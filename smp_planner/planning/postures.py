@@ -83,7 +83,7 @@ def _moved(
 def pose_chain(poses: Sequence[FloatArray], near: ArrayLike) -> FloatArray:
     """Return configurations (H,6) rad that take poses one after the other.
 
-    A pose leaves an arm of six joints no freedom but the choice of a branch: that nearest to a
+    A pose leaves an arm of six joints nothing but the choice of a branch: that nearest to a
     given configuration is taken, and kept.
 
     Args:

@@ -61,7 +61,7 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One scene to plan in.
+    """A planning problem: body, constraints, and obstacles by stages.
 
     Attributes:
         body: what moves, with all that it carries in the end.
@@ -104,7 +104,7 @@ class Problem:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """All that must not be touched in the end."""
+        """Obstacles of the last stage."""
         last = [stage.obstacles for stage in self.stages if stage.last == 1.0]
         return tuple(dict.fromkeys(obstacle for of_stage in last for obstacle in of_stage))
 
@@ -206,7 +206,7 @@ def arm_problem(
 
 @runtime_checkable
 class Planner(Protocol):
-    """Anything that answers problems with plans."""
+    """Protocol of planners."""
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""

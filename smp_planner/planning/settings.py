@@ -16,8 +16,8 @@ class PriorSettings(BaseModel):
     space (`smp_planner.library.frame`).
 
     Attributes:
-        smooth_std: freedom added to what the demonstrations teach; see `ProMP.fit`.
-        smooth_length_scale: of that freedom, l in phase. Trajectories come out smoother than their
+        smooth_std: standard deviation added to what demonstrations teach; see `ProMP.fit`.
+        smooth_length_scale: of that addition, l in phase. Trajectories come out smoother than their
             weights: away from the ends as if it were sqrt(l^2 + 2 / (K - 3)^2).
         basis_functions: K of the primitive, 1 / (K - 3) of the phase apart.
         modes: how many groups the demonstrations fall into; None lets them decide
@@ -46,7 +46,7 @@ class PlanSettings(BaseModel):
     Attributes:
         particles: P, size of the set.
         samples: T of the trajectories in a plan.
-        map: "exact" asks the obstacles themselves; "shapes" composes networks trained once per
+        map: "exact" takes the obstacles themselves; "shapes" composes networks trained once per
             obstacle shape; "points" trains one network from labelled points of the scene, the
             paper's method (Eq. (12)), which takes seconds.
         map_points: how many points "points" learns from.
@@ -64,7 +64,8 @@ class PlanSettings(BaseModel):
         velocity_weight: of the excess over the joint velocity limits.
         limit_weight: of the excess over the joint limits.
         duration_limit: s, within which an executable trajectory must be feasible.
-        retries: how often a problem without a good particle is tried again with twice the freedom.
+        retries: how often a problem without a good particle is tried again, each time with twice
+            the added deviation.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,4 +1,4 @@
-"""From what an observation says to the problem that a planner solves."""
+"""The planning problem that an observation describes."""
 
 from __future__ import annotations
 

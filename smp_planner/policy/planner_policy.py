@@ -50,7 +50,7 @@ class Execution:
 
 
 class PlannerPolicy:
-    """A planner that acts.
+    """A policy that executes the plans of a planner.
 
     Its actions are joint velocities: observations of an environment that takes actions for
     something else (``control="end_effector"``) are refused.

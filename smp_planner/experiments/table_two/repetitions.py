@@ -97,8 +97,8 @@ class RepetitionRow:
 
     Similarity and lengths are those of the paths of the carried point (the object's centre or the
     pen's tip), in metres, against `REFERENCE_DRAWS` draws of the unadapted primitive: conditioned
-    on start, goal and via-points of the scene, with the freedom that all methods of the task start
-    from.
+    on start, goal and via-points of the scene, with the added covariance that all methods of
+    the task start from.
 
     Attributes:
         repetition: see `RepetitionKey`, as the next two.

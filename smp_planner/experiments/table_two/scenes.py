@@ -77,8 +77,8 @@ def _mean_collides(prior: Prior, policy: PlannerPolicy, observation: Any) -> boo
     problem = policy.problem(observation)
     means = []
     for component in prior.components():
-        (tied, _), *_ = condition(component, problem.constraints, PlanSettings())
-        means.append(tied.trajectory(tied.mean, 200).numpy())
+        (posterior, _), *_ = condition(component, problem.constraints, PlanSettings())
+        means.append(posterior.trajectory(posterior.mean, 200).numpy())
     return not free_waypoints(problem, np.array(means)).all(axis=1).any()
 
 
@@ -109,7 +109,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
 
 
 def _share(policy: PlannerPolicy, observation: Any) -> float:
-    """Return the share of particles that the planner judges a success."""
+    """Return the share of particles that succeed by the planner's exact check."""
     plan = policy.plan(observation)
     return float(plan.good.mean())
 
