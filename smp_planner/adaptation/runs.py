@@ -17,7 +17,7 @@ from smp_planner.movement_primitives import ProMP, phases
 __all__ = ["Adapt", "Good", "Runs", "SceneCosts", "Target", "latent_gradient"]
 
 Good = Callable[[Tensor], NDArray[np.bool_]]
-"""From particles (B, P, r) in whitened coordinates to which of them, (B, P), are good already."""
+"""Map from particles (B, P, r) in whitened coordinates to the mask (B, P) of those good already."""
 
 
 class SceneCosts(Protocol):

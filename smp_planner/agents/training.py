@@ -94,7 +94,7 @@ def load_checkpoint(folder: Path, env: VecEnv) -> SAC | None:
 
 
 class _Periodically(BaseCallback):
-    """Calls a function with the agent after every so many steps, another after each of them."""
+    """Callback that calls a function with the agent at intervals, and another after each step."""
 
     def __init__(
         self, period: int, function: Callable[[SAC], None], each: Callable[[int], None]
@@ -115,7 +115,7 @@ class _Periodically(BaseCallback):
 
 
 class Training:
-    """One training, in a folder; starting it again goes on from the last checkpoint.
+    """One training run, in a folder; starting it again goes on from the last checkpoint.
 
     Args:
         folder: to write.

@@ -61,7 +61,7 @@ def _fail(message: str, code: int) -> typer.Exit:
 
 @app.command("list")
 def list_command() -> None:
-    """List the tasks, methods, difficulties and families that `run` knows."""
+    """List the tasks, methods, difficulties and families that `run` accepts."""
     from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, FAMILIES, TASKS
     from smp_planner.planners.registry import installed_methods, known_methods
 

@@ -51,7 +51,7 @@ def autograd_collision(
     edge_width: float,
     dtype: torch.dtype,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return what `CollisionCost` does, up to its scale, by tensors and autograd."""
+    """Return value and gradient as `CollisionCost`, up to its scale, by tensors and autograd."""
     q = torch.as_tensor(trajectories, dtype=dtype).requires_grad_()
     moving = robot.link > 0
     centers = robot.sphere_centers(q)[:, :, moving]

@@ -143,7 +143,7 @@ class EpisodePlayer(Protocol):
 
 @dataclass(frozen=True)
 class PlayedEpisode:
-    """An episode that was played.
+    """A played episode: its scene, plan and row.
 
     Attributes:
         row: what the store keeps.
@@ -159,7 +159,7 @@ class PlayedEpisode:
 
 
 def kind_of_scene(difficulty: str, family: str) -> str:
-    """Return what to call the scenes of a difficulty and a family: furniture has no difficulty."""
+    """Return the name of the scenes of a difficulty and a family: furniture has no difficulty."""
     return f"difficulty {difficulty}" if family == FAMILIES[0] else f"furniture: {family}"
 
 

@@ -204,7 +204,7 @@ def _edges(world, starts, ends, free):
 
 
 class EdgeChecker:
-    """The free space of a robot among obstacles.
+    """Collision check of a robot among obstacles, by configurations and straight edges.
 
     Args:
         robot: the arm and what it carries.

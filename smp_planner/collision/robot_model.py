@@ -49,7 +49,7 @@ class LinkPairs:
 
 
 class RobotArrays(NamedTuple):
-    """A robot as the compiled loops of the collision checks take it.
+    """Arrays of a robot for the compiled loops of the collision checks.
 
     Attributes:
         base: (4,4) pose of link 0.
@@ -204,7 +204,7 @@ class RobotModel:
 
     @cached_property
     def arrays(self) -> RobotArrays:
-        """All that the compiled loops of the collision checks need."""
+        """Arrays for the compiled loops of the collision checks."""
         pairs = self.link_pairs
         return RobotArrays(
             self.base,

@@ -62,13 +62,13 @@ COLUMNS = (
     Column("diversity", "Diversity, mm", 1),
     Column("seconds", "Planning, s"),
 )
-"""Of the printed table. Similarity, modes and diversity are those of the good particles."""
+"""Columns of the printed table. Similarity, modes and diversity are those of the good particles."""
 
 _REFERENCE_SIZE = 400
 
 
 class Cell(NamedTuple):
-    """One measurement.
+    """Key of one measurement.
 
     Attributes:
         task: its name.

@@ -107,7 +107,7 @@ def cells_of(
 
 
 def trial(cell: Cell) -> Trial:
-    """Return what one setting of a method comes to."""
+    """Return the results of one setting of a method."""
     task, method, settings, difficulty, seeds = cell
     torch.set_num_threads(1)
     env = gymnasium.make(environment_id(task), difficulty=difficulty)

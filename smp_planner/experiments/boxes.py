@@ -57,7 +57,7 @@ COLUMNS = (
     Column("starts", "Starts in region", 1, extremes=True),
     Column("free", "Free", 1, extremes=True),
 )
-"""Of the printed table of `box_row`s."""
+"""Columns of the printed table of `box_row`s."""
 
 _STDS = 2.0
 
@@ -103,7 +103,7 @@ def box_rows(particles: int, repetitions: int) -> list[Row]:
 def box_row(
     prior: str, primitive: SMP, scene: LasaScene, method: Method, particles: int, seed: int
 ) -> dict[str, str | float | None]:
-    """Return how many starts and ends lie in their regions after an adaptation.
+    """Return the numbers of starts and ends in their regions after an adaptation.
 
     Args:
         prior: one of `BOX_PRIORS`.
@@ -143,6 +143,6 @@ def _drawn_in(region: Box, paper_scale: bool) -> Box:
 
 
 def _inside(points: FloatArray, boxes: tuple[Box, ...]) -> float:
-    """Return how many of points (P, 2) lie in one of the boxes."""
+    """Return the number of points (P, 2) in one of the boxes."""
     inside = [((b.lower <= points) & (points <= b.upper)).all(axis=-1) for b in boxes]
     return float(np.any(inside, axis=0).sum())

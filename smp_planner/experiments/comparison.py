@@ -54,7 +54,7 @@ COLUMNS = (
     Column("length", "Length, mm", 1),
     Column("smoothness", "Smoothness", 1),
 )
-"""Of the printed table of `measure`'s rows."""
+"""Columns of the printed table of `measure`'s rows."""
 
 _METHOD_TITLES = {
     "promp": "ProMP",

@@ -39,7 +39,7 @@ COLUMNS = (
     Column("end_error", "Mean end error, mm"),
     Column("worst_end_error", "Greatest end error, mm"),
 )
-"""Of the printed table of `modulation_row`s."""
+"""Columns of the printed table of `modulation_row`s."""
 
 
 def modulate(
@@ -88,7 +88,7 @@ def modulate(
 def modulation_row(
     name: str, method: str, scene: LasaScene, plan: Plan, seed: int
 ) -> dict[str, str | float | None]:
-    """Return how many of a plan's paths meet each of the constraints.
+    """Return the numbers of a plan's paths that meet each of the constraints.
 
     Args:
         name: of the scene.

@@ -57,7 +57,7 @@ class LasaScene:
 
 @dataclass(frozen=True)
 class Method:
-    """An adaptation and what it adapts to.
+    """An adaptation and the settings of its costs.
 
     Attributes:
         adaptation: with its settings.

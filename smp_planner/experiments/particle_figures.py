@@ -48,11 +48,11 @@ FRAME_SIZE = (640, 480)
 """Width and height of the pictures of an episode, pixels."""
 
 SHIFT = 0.15
-"""By how much, m, Fig. 4 moves the left end towards the middle. The right one is lifted to
+"""Shift, m, of the left end towards the middle in Fig. 4. The right one is lifted to
 `PAD_DEPTH`, the highest that a pad can stand: by 11.5 cm, where the paper has 15 cm."""
 
 _START_SHIFT = (-0.06, 0.0, 0.06)
-"""By how much, m, the start of Fig. 4 lies from where the demonstrations begin."""
+"""Offset, m, of the start of Fig. 4 from that of the demonstrations."""
 
 _FREE, _COLLIDING, _FAINT, _DARK = "#7fa3ee", "#ea8585", "#b9c6de", "#4b5563"
 _MODES = ("#f59e0b", "#059669")

@@ -47,7 +47,7 @@ _ADAPT_SETTINGS = settings().model_copy(update={"samples": 200})
 
 @dataclass(frozen=True)
 class Variant:
-    """A scene, and how wide the prior is.
+    """A scene, and the added deviation of the prior.
 
     Attributes:
         scene: of one shape with obstacles.

@@ -41,7 +41,7 @@ COUNT_TOLERANCE = 0.5
 """Free paths, out of those of a plan, by which means are taken for equal."""
 
 FIRST_TUNING_SEED = 1000
-"""Of tuning; evaluations take seeds from 0."""
+"""First seed of tuning; evaluations take seeds from 0."""
 
 COLUMNS = (
     Column("method", "Method"),
@@ -49,7 +49,7 @@ COLUMNS = (
     Column("free", "Free", 1, extremes=True),
     Column("wasserstein", "W1, mm"),
 )
-"""Of the printed table of `tuning_row`s."""
+"""Columns of the printed table of `tuning_row`s."""
 
 _EDGES = ((0.05, 0.01), (0.1, 0.01))
 
@@ -90,7 +90,7 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
 
 
 def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:
-    """Return how each of a method's `CANDIDATES` does on the tuning scenes.
+    """Return the results of each of a method's `CANDIDATES` on the tuning scenes.
 
     Args:
         name: of the method.
@@ -116,7 +116,7 @@ def tuning_row(
     particles: int,
     seed: int,
 ) -> dict[str, str | float | None]:
-    """Return how one of the `CANDIDATES` does in a scene.
+    """Return the result of one of the `CANDIDATES` in a scene.
 
     Args:
         name: of the method.

@@ -8,7 +8,7 @@ from collections.abc import Callable
 __all__ = ["Schedule", "check_steps", "cyclic_annealing", "linear_decay", "tanh_annealing"]
 
 Schedule = Callable[[int, int, float], float]
-"""From iteration, iterations and the fraction of them that is annealed to a factor in (0, 1]."""
+"""Map from iteration, iterations and the fraction that is annealed to a factor in (0, 1]."""
 
 _TANH_RATE = 1.3
 """Argument at which the tanh ends; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""

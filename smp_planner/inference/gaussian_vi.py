@@ -45,7 +45,7 @@ class GaussianVISettings:
 
 
 class GaussianState(NamedTuple):
-    """A run between two iterations.
+    """State of Gaussian variational inference between two iterations.
 
     Attributes:
         mean: (d,) m.

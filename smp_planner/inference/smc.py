@@ -24,7 +24,7 @@ from smp_gym.arrays import FloatArray
 __all__ = ["LogLikelihood", "Posterior", "SMCSettings", "sample_posterior"]
 
 LogLikelihood = Callable[[FloatArray], FloatArray]
-"""From standard normals (P, d) to log p(O|z), (P,), finite."""
+"""Log-likelihood: from standard normals (P, d) to log p(O|z), (P,), finite."""
 
 _ACCEPTANCE = 0.3
 """Share of moves to accept; the step is led there. Near the best of random-walk kernels."""
@@ -136,7 +136,7 @@ def _evaluate(log_likelihood: LogLikelihood, particles: FloatArray) -> FloatArra
 
 
 def _rise(values: FloatArray, left: float, effective: float) -> float:
-    """Return by how much the temperature may rise, at most what is `left`."""
+    """Return the rise of the temperature, at most what is `left`."""
 
     def excess(rise: float) -> float:
         log_weights = rise * values

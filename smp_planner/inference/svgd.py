@@ -50,7 +50,7 @@ __all__ = [
 
 
 class State(NamedTuple):
-    """A run between two iterations.
+    """State of SVGD between two iterations.
 
     Attributes:
         particles: (..., P, d); leading dimensions are independent runs.

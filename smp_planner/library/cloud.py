@@ -28,7 +28,7 @@ THICKNESS = 0.05
 """Extents (m for a robot), how deep things are taken to be unless the cloud says otherwise."""
 
 _SEED = 0
-"""Of points and training: the map belongs to the cloud, whatever the seed of a plan."""
+"""Seed of points and training: the map belongs to the cloud, whatever the seed of a plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class PointCloud:
         self.refuse_near_sensor(self.inflation or 0.0)
 
     def __repr__(self) -> str:
-        """Return what it is, without its points."""
+        """Return a short description, without the points."""
         return f"PointCloud({len(self.points)} points)"
 
     def refuse_near_sensor(self, inflation: float) -> None:
@@ -107,7 +107,7 @@ def learned_cloud(
     radius: float,
     settings: PlanSettings,
 ) -> LearnedCloud:
-    """Return what is known of a cloud where the moving body can be.
+    """Return the learned map of a cloud where the moving body can be.
 
     Args:
         cloud: in the user's unit.

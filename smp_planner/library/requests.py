@@ -37,7 +37,7 @@ def constraints_of(
     sigma: float,
     robot: RobotModel | None,
 ) -> tuple[Constraint, ...]:
-    """Return what a path shall be near to, ascending in phase.
+    """Return the constraints that requests for a path amount to, ascending in phase.
 
     Args:
         frame: of the path.

@@ -178,7 +178,7 @@ class Scene:
         demonstrations: Sequence[FloatArray],
         constraints: Sequence[Constraint],
     ) -> LearnedCloud | None:
-        """Return what is known of the point cloud; None if there is none."""
+        """Return the learned map of the point cloud; None if there is none."""
         if self._cloud is None:
             return None
         if self._robot is not None:

@@ -22,9 +22,9 @@ from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.covering import cover_mesh
 
-__all__ = ["ENDLESS", "Robot"]
+__all__ = ["CONTINUOUS_LIMIT", "Robot"]
 
-ENDLESS = 4.0 * math.pi
+CONTINUOUS_LIMIT = 4.0 * math.pi
 """rad in either direction, limits of a continuous joint for which the URDF names none."""
 
 
@@ -165,8 +165,8 @@ def _read_joint(element: ET.Element) -> _Joint:
         child=link("child"),
         origin=_origin(element.find("origin")),
         axis=direction / (length or 1.0),
-        lower=float(limits.get("lower", -ENDLESS if endless else 0.0)),
-        upper=float(limits.get("upper", ENDLESS if endless else 0.0)),
+        lower=float(limits.get("lower", -CONTINUOUS_LIMIT if endless else 0.0)),
+        upper=float(limits.get("upper", CONTINUOUS_LIMIT if endless else 0.0)),
         velocity=float(limits.get("velocity", 0.0)),
         is_mimic=element.find("mimic") is not None,
     )

@@ -131,7 +131,7 @@ def _halves(
 
 
 def _two_means(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, d) points belong to the first of two means."""
+    """Return a mask of the points (N, d) that belong to the first of two means."""
     distances = np.linalg.norm(points[:, None] - points, axis=-1)
     first, second = np.unravel_index(distances.argmax(), distances.shape)
     means = points[[first, second]]
@@ -146,7 +146,7 @@ def _two_means(points: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def shared_out(count: int, shares: Sequence[float] | NDArray[np.float64]) -> list[int]:
-    """Return how many of `count` each share gets, by the method of the largest remainder."""
+    """Return `count` apportioned to shares, by the method of the largest remainder."""
     exact = np.asarray(shares, np.float64) / np.sum(shares) * count
     given = np.floor(exact + 1e-9).astype(int)
     order = np.argsort(-(exact - given), kind="stable")

@@ -94,7 +94,7 @@ class ShapeNetworks:
 
     @property
     def arrays(self) -> tuple[Float32Array, ...]:
-        """The six arrays in the order above."""
+        """Tuple of the six arrays in the order above."""
         return tuple(getattr(self, f.name) for f in fields(self)[1:])
 
     def save(self, path: str | Path) -> None:
@@ -160,7 +160,7 @@ def _all_offsets(points, shape, sizes, truncation):  # type: ignore[no-untyped-d
 def face_offsets(
     points: NDArray[np.float64], shape: str, sizes: NDArray[np.float64], truncation: float
 ) -> NDArray[np.float64]:
-    """Return what a network sees of points near bodies of one shape.
+    """Return the inputs of a network for points near bodies of one shape.
 
     Args:
         points: (N, 3) m, each in the frame of its own body.

@@ -53,7 +53,7 @@ PLANNERS = MappingProxyType(
         "rrt_connect": RRTConnectPlanner,
     }
 )
-"""By name, what makes a planner of demonstrations and settings."""
+"""Factories of planners by name, from demonstrations and settings."""
 
 
 @cache

@@ -52,7 +52,7 @@ __all__ = [
     "reachable_box",
 ]
 DistanceMap = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""From points (N, 3) to signed distance (N,) and its gradient (N, 3)."""
+"""Map from points (N, 3) to signed distance (N,) and its gradient (N, 3)."""
 
 PATH_TOLERANCE = 1e-4
 """Extents by which the clearance of a ball's path may be overestimated."""

@@ -84,11 +84,11 @@ class Constraint(Protocol):
         ...
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return by how much (P,) trajectories (P, T, D) miss it; 0 if they do not."""
+        """Return the violation (P,) of trajectories (P, T, D), a distance; 0 if they satisfy it."""
         ...
 
     def slack(self, settings: PlanSettings) -> float:
-        """Return by how much it may be missed and still counts as met."""
+        """Return the largest violation that still counts as satisfied."""
         ...
 
 
@@ -177,7 +177,7 @@ class Exactly:
         return None
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return the distance (P,) from the position; of a velocity nothing is said."""
+        """Return the distance (P,) from the position; 0 for a velocity."""
         if self.derivative:
             return np.zeros(len(trajectories))
         there = at_phases(trajectories, self.phase)[:, 0]
@@ -205,7 +205,7 @@ class Place:
     share: float
 
     def missed(self, points: FloatArray) -> FloatArray:
-        """Return by how much (...) points (..., D) miss the place; 0 if they do not."""
+        """Return the distance (...) of points (..., D) to the place; 0 within it."""
         if self.point is None:
             outside = box_offset(points, self.box.lower.numpy(), self.box.upper.numpy())
             return np.asarray(np.linalg.norm(outside, axis=-1))
@@ -252,7 +252,7 @@ class Passing:
         return (self.phase,)
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return by how much (P,) trajectories (P, T, D) miss the nearest place."""
+        """Return the distance (P,) of trajectories (P, T, D) to the nearest place."""
         points = at_phases(trajectories, self.phase)[:, 0]
         return np.asarray(np.min([place.missed(points) for place in self.places], axis=0))
 
@@ -393,7 +393,7 @@ class ToolPath:
         return tuple(via.phase for via in self.via_points)
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return by how much (P,) m the via-point is missed that is missed most.
+        """Return the largest distance (P,) m to a via-point.
 
         Via-points are to be passed in their order: each is passed not before the one before it. Of
         all choices of moments in that order, the one whose worst miss is least counts.

@@ -94,7 +94,7 @@ class Part:
 def condition(
     primitive: ProMP, constraints: Sequence[Constraint], settings: PlanSettings
 ) -> list[tuple[ProMP, float]]:
-    """Return what a primitive becomes when it is conditioned on constraints, in closed form.
+    """Return the posterior of a primitive conditioned on constraints, in closed form.
 
     The posterior of a Gaussian and a mixture of places is a mixture: one branch for each choice of
     options, its share π_h times the density of the place under the primitive. Branches that would
@@ -275,7 +275,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
 def _good(
     runs: Runs, problems: Sequence[Problem], settings: PlanSettings, latent: Tensor
 ) -> BoolArray:
-    """Return which of whitened particles (B, P, r) are good as they are, (B, P)."""
+    """Return a mask (B, P) of the whitened particles (B, P, r) that are good as they are."""
     found = []
     for problem, primitive, weights in zip(
         problems, runs.primitives, runs.unwhiten(latent), strict=True

@@ -28,7 +28,7 @@ _Kind = TypeVar("_Kind")
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A stretch of the trajectory, and what must stay clear of what meanwhile.
+    """A stretch of the trajectory, with the body and obstacles that must stay clear meanwhile.
 
     Attributes:
         first: phase at which it begins.
@@ -52,7 +52,7 @@ class Stage:
             raise ValueError(f"a Stage must lie in [0, 1], got {self.first} to {self.last}")
 
     def steps(self, count: int) -> slice:
-        """Return which of `count` equal steps of phase cover the stage, its ends included."""
+        """Return the slice of `count` equal steps of phase that covers the stage, ends included."""
         last = count - 1
         # The margin is for phases that rounding puts a hair beyond a step.
         begin = int(np.floor(self.first * last + 1e-9))
@@ -65,8 +65,8 @@ class Problem:
 
     Attributes:
         body: what moves, with all that it carries in the end.
-        constraints: what the trajectory shall do, in the order in which the prior is conditioned.
-        stages: what must stay clear of what at which phases, at least one.
+        constraints: on the trajectory, in the order in which the prior is conditioned.
+        stages: bodies and obstacles by stretches of the phase, at least one.
         seed: from which all randomness of the plan is drawn.
         movable: those obstacles that are no fixtures of the task; on which side of them
             trajectories pass tells homotopy classes apart.

@@ -27,8 +27,8 @@ RELEASE_HEIGHT = (0.005, 0.035)
 """Least and greatest height of the object's lowest point above the rim when it is let go, m."""
 
 PAD_RELEASE_HEIGHT = (0.012, 0.035)
-"""The same above a pad, m: the spheres that cover the object stand out of it by 9 mm, and from
-higher up it would tip over."""
+"""Least and greatest height of that point above a pad, m: the object's spheres stand out of it by
+9 mm, and from higher up it would tip over."""
 
 RELEASE_HALF_WIDTH = 0.02
 """Half width of the square above the goal's middle in which the object's centre is let go, m."""

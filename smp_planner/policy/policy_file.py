@@ -64,7 +64,7 @@ def write_policy(path: Path, policy: SavedPolicy) -> None:
 
 
 def read_policy(path: Path) -> SavedPolicy:
-    """Return what a file holds of a policy.
+    """Return the contents of a policy file.
 
     Raises:
         FileNotFoundError: no such file.

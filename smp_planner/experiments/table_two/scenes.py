@@ -44,7 +44,7 @@ PRIOR: dict[str, Any] = {"basis_functions": 15, "smooth_length_scale": 0.2}
 
 
 def prior_settings(task: str) -> PriorSettings:
-    """Return how the prior is learned that all methods share on a task."""
+    """Return the settings of the prior that all methods share on a task."""
     own = task_settings("smp", task)
     return PriorSettings.model_validate(
         PRIOR | {name: own[name] for name in ("smooth_std",) if name in own}

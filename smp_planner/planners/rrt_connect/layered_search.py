@@ -13,10 +13,10 @@ from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 __all__ = ["path_through"]
 
 _PREDECESSORS = 4
-"""From so many configurations of a layer, at most, a straight edge to each of the next is tried."""
+"""Configurations of a layer, at most, from which a straight edge to each of the next is tried."""
 
 _ROOTS = 4
-"""From so many configurations of a layer, at most, a tree search is tried."""
+"""Configurations of a layer, at most, from which a tree search is tried."""
 
 
 def path_through(

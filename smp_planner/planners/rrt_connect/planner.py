@@ -1,6 +1,6 @@
 """`rrt_connect`: RRT-Connect in joint space, with shortcuts and smoothing. The sampling baseline.
 
-What one would take who has no demonstrations to keep to: they only lend the postures in which a
+The choice of a user without demonstrations to keep to: they only lend the postures in which a
 place is reached. Randomness comes from the problem's seed and budgets are counts, so a plan depends
 neither on the machine nor on what was planned before.
 """
@@ -42,7 +42,7 @@ from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 __all__ = ["RRTConnectPlanner", "RRTConnectSettings"]
 
 _CONTROL_POINTS = (7, 10, 14, 20, 28, 40, 56, 80)
-"""Of the splines that are tried, from smooth to true to the path."""
+"""Control points of the splines that are tried, from smooth to true to the path."""
 
 _LIFT_OFF = 0.03
 """Metres by which the hand goes straight up with what it has grasped."""
@@ -164,7 +164,7 @@ class _Search:
     def checker(
         self, ends: Sequence[FloatArray], first: float = 0.0, last: float = 1.0
     ) -> EdgeChecker:
-        """Return what is free in a stretch of the phase.
+        """Return the collision check of a stretch of the phase.
 
         Args:
             ends: of each layer (C,6) rad one configuration should keep the margin; where all of one
