@@ -168,7 +168,7 @@ def run(
 
 
 def _manifest(*arguments: Any, **options: Any) -> Manifest:
-    """Return `make_manifest` of arguments; modules of one's own are found here, too."""
+    """Return `make_manifest` of arguments; modules of the working directory are found, too."""
     from smp_planner.benchmark.manifest import make_manifest
 
     if os.getcwd() not in sys.path:

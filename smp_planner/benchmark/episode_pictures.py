@@ -143,7 +143,7 @@ def paint_scene(
         scene: what is painted.
         lines: each hidden by what is before it.
         azimuth: degrees, from where it is seen; see `Camera`.
-        within: further lines that there shall be room for, so that pictures can be compared.
+        within: further lines that the view includes, so that pictures can be compared.
     """
     arm = _arm(scene)
     bin_parts = fixtures(scene)[1:]

@@ -112,7 +112,7 @@ def play_missing(
 
     Args:
         store: the folder.
-        keys: all that it shall hold, in the order in which it is played.
+        keys: of its rows, in the order of play.
         player: returns the row of a key; importable by name, for it runs in other processes.
         jobs: number of worker processes.
         on_progress: called with the number of keys that are done and of all.

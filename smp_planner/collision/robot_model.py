@@ -31,7 +31,7 @@ def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LinkPairs:
-    """Pairs of spheres that shall not touch, by pair of links, with a ball around each link.
+    """Pairs of spheres that must not touch, by pair of links, with a ball around each link.
 
     Attributes:
         pairs: (M,2) indices of spheres, sorted by pair of links.

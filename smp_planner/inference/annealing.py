@@ -25,7 +25,7 @@ def tanh_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> fl
     """Return the factor of the annealed term: it rises as a tanh and is 1 from `fraction` on.
 
     The hyperbolic schedule of D'Angelo & Fortuin (2021), scaled so that it arrives at 1, where
-    theirs ends at tanh 1.3 = 0.86: the last iterations shall have the true posterior as target.
+    theirs ends at tanh 1.3 = 0.86: the last iterations have the true posterior as target.
 
     Args:
         iteration: 0 .. iterations - 1.

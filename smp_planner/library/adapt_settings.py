@@ -1,4 +1,4 @@
-"""Settings of plans for paths and robots of one's own."""
+"""Settings of plans for the user's own paths and robots."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ JOINT_SMOOTH_STD = 0.2
 
 
 class AdaptSettings(PlanSettings):
-    """`PlanSettings` with defaults for one's own data: exact map, firmer obstacles.
+    """`PlanSettings` with defaults for the user's own data: exact map, larger λ.
 
     An extent, the unit of lengths but for robots, is the longest side of the box around all
     demonstrations. λ is for sums scaled to `scene.REFERENCE_SPHERES` spheres of a robot.

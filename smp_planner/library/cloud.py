@@ -33,7 +33,7 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points on surfaces, as a depth camera sees them, that paths in space or a robot shall avoid.
+    """Points on surfaces, as a depth camera sees them, that paths in space or a robot avoid.
 
     What lies behind a seen surface, within a thickness, is taken for occupied, and all else that
     was not seen for free: what is thicker than that may be entered from behind. Points of the

@@ -1,4 +1,4 @@
-"""Self-collision pairs: spheres of a robot of one's own that must stay clear of each other."""
+"""Self-collision pairs: spheres of a user's robot that must stay clear of each other."""
 
 from __future__ import annotations
 

@@ -41,9 +41,9 @@ def constraints_of(
 
     Args:
         frame: of the path.
-        start: where it shall begin; None leaves that to the demonstrations.
-        via_points: what it shall pass.
-        goal: where it shall end; None leaves that to the demonstrations.
+        start: of the path; None leaves that to the demonstrations.
+        via_points: of the path.
+        goal: of the path; None leaves that to the demonstrations.
         sigma: of tails where none is given, in extents; m for the regions of a tool.
         robot: that moves; None for a ball.
 

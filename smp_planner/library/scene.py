@@ -1,4 +1,4 @@
-"""A scene of one's own: what moves, among which obstacles, in the coordinates of the path."""
+"""A scene of the user: a body and its obstacles, in the coordinates of the path."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Scene:
         """Return the problem of this scene, in the coordinates of the path.
 
         Args:
-            constraints: what the path shall do, ascending in phase.
+            constraints: on the path, ascending in phase.
             settings: how a point cloud is learned.
             seed: of the plan.
             demonstrations: N arrays (T_j, D), in the user's unit; a map covers where they go.

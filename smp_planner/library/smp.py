@@ -1,4 +1,4 @@
-"""Stein movement primitives from demonstrations of one's own, without any environment.
+"""Stein Movement Primitives from the user's own demonstrations, without any environment.
 
     primitive = SMP.fit(demonstrations)
     plan = primitive.adapt([Circle((0.5, 0.2), 0.1)], goal=(1.0, 0.3), particles=42, seed=0)

@@ -1,4 +1,4 @@
-"""The methods by name: those of this package, those of installed packages, and one's own.
+"""The methods by name: those of this package, those of installed packages, and the user's own.
 
 A method is a name and a factory that makes a planner of demonstrations and settings. A spec names
 one: a name of `PLANNERS`, a name of the entry-point group `smp_planner.methods`, or

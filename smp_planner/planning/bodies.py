@@ -83,7 +83,7 @@ class Clearance(NamedTuple):
 
 
 class Body(Protocol):
-    """Protocol of bodies; lengths are m, or extents for a ball on paths of one's own."""
+    """Protocol of bodies; lengths are m, or extents for a ball."""
 
     @property
     def dimension(self) -> int:

@@ -234,7 +234,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Passing:
-    """Places in the coordinates of the path, any of which will do at a phase.
+    """Alternative places that the path passes at a phase.
 
     Attributes:
         name: what the user calls it.
@@ -285,7 +285,7 @@ class Passing:
 
 @dataclass(frozen=True, eq=False)
 class Reaching:
-    """Regions of which the tool shall be in one when the trajectory ends.
+    """Goal regions, in one of which the tool is at the end of the trajectory.
 
     Attributes:
         goals: at least one region.

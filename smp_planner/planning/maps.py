@@ -30,7 +30,7 @@ def around_both(first: Workspace, second: Workspace) -> Workspace:
 
 
 class SceneMaps:
-    """The distance maps of one problem, each made once.
+    """Distance maps of one problem, each made once.
 
     Args:
         settings: kind of map, and how a network is trained.

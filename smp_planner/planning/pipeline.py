@@ -1,6 +1,6 @@
 """The pipeline from problems to plans, Algorithm 1: condition, draw, adapt, assess, try again.
 
-Robots and paths of one's own go through it alike; they differ in how a `Problem` is made. Problems
+Robots and balls go through it alike; they differ in how a `Problem` is made. Problems
 are planned in batches: particles that have equally many directions and are equally many in number
 are adapted together, with a leading dimension for each run of them.
 """

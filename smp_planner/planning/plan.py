@@ -18,7 +18,7 @@ __all__ = ["Plan"]
 class Plan:
     """A set of P particles, each a whole trajectory, with their costs and checks.
 
-    Lengths are m and coordinates rad for a robot; for paths of one's own both are in the unit of
+    Lengths are m and coordinates rad for a robot; for the user's own paths both are in the unit of
     the demonstrations.
 
     Attributes:

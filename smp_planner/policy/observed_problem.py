@@ -35,7 +35,7 @@ RELEASE_HALF_WIDTH = 0.02
 
 
 END_HALF_WIDTH = 0.01
-"""Half width of the cube round the end of a stroke in which the pen shall stop, m."""
+"""Half width of the cube round the end of a stroke in which the pen stops, m."""
 
 CHECKPOINT_TOLERANCE = 0.036
 """Distance to the checkpoints of a stroke that a plan allows the pen, m; the task allows 4 cm."""

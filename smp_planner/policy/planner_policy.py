@@ -280,7 +280,7 @@ class PlannerPolicy:
 
         Raises:
             ValueError: the file is damaged, not a policy, or of another version, its method is
-                unknown here, or one's own and `factory` is not given.
+                unknown here, or the user's own and `factory` is not given.
         """
         saved = read_policy(Path(path))
         if factory is not None:

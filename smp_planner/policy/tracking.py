@@ -2,7 +2,7 @@
 
 The environments integrate an action into a joint reference that the motors follow, so a
 trajectory is executed by asking, at each control step, for the difference between where the
-reference shall be and where it is. Nothing accumulates: a step that was cut off at the limits is
+reference should be and where it is. Nothing accumulates: a step that was cut off at the limits is
 caught up by the next.
 """
 
