@@ -135,7 +135,7 @@ def tune(
 
 
 def main() -> None:
-    """Run the commands; what they refuse is said in one line, with exit code 2."""
+    """Run the commands; an error is printed in one line, with exit code 2."""
     try:
         app()
     except (ValueError, ModuleNotFoundError) as error:

@@ -57,7 +57,7 @@ def make_model(env: VecEnv, settings: HyperParameters, seed: int) -> SAC:
         seed: of weights and exploration.
 
     Raises:
-        ValueError: SAC knows no argument of such a name.
+        ValueError: SAC has no argument of such a name.
     """
     arguments: dict[str, Any] = dict(settings.sac)
     if settings.her is not None:
@@ -185,7 +185,7 @@ class Training:
             steps: environment steps, those before an interruption included.
             every: steps from one evaluation to the next.
             episodes: how many each evaluation plays: the tuning seeds from 0 on.
-            progress: told the steps so far and the last rate of success.
+            progress: called with the steps so far and the last rate of success.
         """
 
         def measure(model: SAC) -> None:
@@ -198,12 +198,12 @@ class Training:
             draw_curve(self._folder / "learning_curve.png", self.evaluations, self._title)
             save_checkpoint(model, self._folder)
 
-        def tell(done: int) -> None:
+        def report(done: int) -> None:
             progress(done, self.evaluations[-1].rate if self.evaluations else 0.0)
 
         remaining = steps - self.model.num_timesteps
         if remaining > 0:
-            callback = _Periodically(every, measure, tell)
+            callback = _Periodically(every, measure, report)
             self.model.learn(remaining, callback=callback, reset_num_timesteps=False)
             if self.evaluations[-1:] and self.evaluations[-1].steps == self.model.num_timesteps:
                 return

@@ -297,7 +297,7 @@ def draw_episode(
     """Play one episode and write ``scene_TASK_METHOD.png`` and ``episode_TASK_METHOD.mp4``.
 
     Args:
-        player: knows the method.
+        player: that plays the method.
         key: names the episode.
         folder: of the files; must exist.
         figure: whether to write the image.

@@ -80,7 +80,7 @@ class EpisodeRow:
             episode ended, m.
         path_length: of the end effector, m.
         clearance: least distance of arm or held object to an obstacle, judged by the physics, m;
-            the environment does not tell distances above 0.05 apart.
+            the environment reports distances up to 0.05 only.
         steps: environment steps.
         half: of the frozen list, see `EpisodeKey`.
         family: of the scene, see `EpisodeKey`.
@@ -92,7 +92,7 @@ class EpisodeRow:
         chosen_clearance: its least distance to anything in the exact map, m.
         chosen_goal_error: distance of its end to the nearest goal region, m.
         chosen_duration: its shortest execution within the joint velocity limits, s.
-        message: what the planner said when no particle was good.
+        message: of the planner when no particle was good.
         planning_time: time of the whole plan, s.
         episode_time: time of the episode from reset to its end, planning included, s.
         stage_times: time of each stage of the plan by name, s; not in the CSV.
@@ -147,7 +147,7 @@ class PlayedEpisode:
 
     Attributes:
         row: what the store keeps.
-        scene: as the first observation tells it.
+        scene: decoded from the first observation.
         plan: the particles.
         object_path: (steps + 1, 3) m, positions of the object's centre.
     """

@@ -27,7 +27,7 @@ Row = TypeVar("Row")
 
 
 class WorkerDiedError(RuntimeError):
-    """A worker process ended without an answer (killed, or out of memory)."""
+    """A worker process ended without a result (killed, or out of memory)."""
 
 
 class EpisodeFailedError(RuntimeError):

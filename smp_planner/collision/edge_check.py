@@ -1,8 +1,8 @@
 """Collision check of configurations and of straight edges between them, for tree searches.
 
 The same geometry and the same bound as `smp_planner.collision.verification`, for the question that
-a search asks ten thousand times: not how near a path comes, but whether it keeps a given distance.
-The first configuration that does not keep it ends the answer, and what is far from everything is
+a search poses ten thousand times: not how near a path comes, but whether it keeps a given distance.
+The first configuration that does not keep it ends the check, and what is far from everything is
 not measured again.
 """
 

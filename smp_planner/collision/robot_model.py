@@ -90,7 +90,7 @@ class RobotModel:
         lower: (n,) rad, joint limits.
         upper: (n,) rad.
         velocity: (n,) rad/s, joint velocity limits.
-        spheres: what must stay clear of obstacles; held things belong to the last link.
+        spheres: what must stay clear of obstacles; held objects belong to the last link.
         collision_pairs: (M,2) indices of spheres that must stay clear of each other.
     """
 
@@ -324,7 +324,7 @@ def jaco_of_spheres(spheres: SphereSet) -> RobotModel:
     """Return the JACO j2s6s200 with the given spheres in place of its own.
 
     Args:
-        spheres: of arm, fingers and held things, or a part of them.
+        spheres: of arm, fingers and held objects, or a part of them.
     """
     return RobotModel(
         base=kinematics.BASE_TRANSFORM,

@@ -294,8 +294,8 @@ def check_collisions(
         obstacles: bodies at rest.
         tolerance: m, by which the clearance may be overestimated; a path is free if its clearance
             is at least this.
-        grid: distance to what else there is, of which nothing better is known; what it says is
-            taken as it is, and outside it the nearest point of its boundary answers.
+        grid: distance to what else there is, of which nothing better is known; it is taken as it
+            is, and outside it the value is that of the nearest boundary point.
 
     Raises:
         ValueError: wrong shape or not finite, or `tolerance` is not positive.

@@ -1,4 +1,4 @@
-"""Comparison of adaptations: free paths, their homotopy classes, likeness to demonstrations.
+"""Comparison of adaptations: free paths, their homotopy classes, similarity to the primitive.
 
 A *reference* is a large draw of the unadapted primitive, which similarity is measured against.
 """
@@ -149,14 +149,14 @@ def measure(
     """
     free = paths[clearances(paths, scene.obstacles) > 0.0]
     modes = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
-    alike = similarity(paths, reference)
-    alike_free = alike if len(free) == len(paths) else similarity(free, reference)
+    of_all = similarity(paths, reference)
+    of_free = of_all if len(free) == len(paths) else similarity(free, reference)
     return {
         "free": float(len(free)),
         "classes": float(modes.count) if modes else 0.0,
         "entropy": modes.entropy if modes else None,
-        **alike,
-        **{f"{name}_free": value for name, value in alike_free.items()},
+        **of_all,
+        **{f"{name}_free": value for name, value in of_free.items()},
         "length": float(path_lengths(paths).mean()),
         "smoothness": float(log_dimensionless_jerk(paths).mean()),
     }

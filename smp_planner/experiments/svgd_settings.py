@@ -166,9 +166,9 @@ def settings_rows(
 def settings_columns(ground: Ground) -> tuple[Column, ...]:
     """Return the columns of the printed table of a ground's rows."""
     setting, free, count, *others = columns(ground.posterior)
-    alike = (
+    similar = (
         Column("wasserstein", "W1, mm"),
         Column("frechet", "Fréchet, mm"),
         Column("mmd", "MMD", 3),
     )
-    return (setting, free, count, *alike, *others)
+    return (setting, free, count, *similar, *others)

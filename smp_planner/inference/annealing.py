@@ -48,8 +48,8 @@ def cyclic_annealing(
 ) -> float:
     """Return the factor of the annealed term: it rises to 1 in cycles and is 1 from `fraction` on.
 
-    The cyclical schedule of D'Angelo & Fortuin (2021) with their exponent 1. Particles are freed
-    from where they settled at the start of each cycle; here the cycles end before the run does, so
+    The cyclical schedule of D'Angelo & Fortuin (2021) with their exponent 1. Particles leave
+    where they settled at the start of each cycle; here the cycles end before the run does, so
     that the last iterations have the true posterior as target.
 
     Args:

@@ -26,10 +26,10 @@ __all__ = ["LogLikelihood", "Posterior", "SMCSettings", "sample_posterior"]
 LogLikelihood = Callable[[FloatArray], FloatArray]
 """Log-likelihood: from standard normals (P, d) to log p(O|z), (P,), finite."""
 
-_ACCEPTANCE = 0.3
-"""Share of moves to accept; the step is led there. Near the best of random-walk kernels."""
+_TARGET_ACCEPTANCE = 0.3
+"""Share of moves to accept, to which the step is adapted. Near the best of random-walk kernels."""
 
-_LEAD = 0.5
+_ADAPTATION_GAIN = 0.5
 """Change of the step's logarithm for each unit by which the acceptance is off."""
 
 
@@ -119,7 +119,9 @@ def sample_posterior(
             particles = np.where(accepted[:, None], proposed, particles)
             values = np.where(accepted, offered, values)
             shares.append(accepted.mean())
-            step = min(1.0, step * float(np.exp(_LEAD * (shares[-1] - _ACCEPTANCE))))
+            step = min(
+                1.0, step * float(np.exp(_ADAPTATION_GAIN * (shares[-1] - _TARGET_ACCEPTANCE)))
+            )
         temperatures.append(temperature)
         acceptance.append(np.mean(shares))
     return Posterior(particles, log_evidence, np.array(temperatures), np.array(acceptance))

@@ -266,6 +266,6 @@ def converged(state: State, movement: float, settings: SVGDSettings) -> bool:
 
 
 def _check_finite(name: str, value: Tensor) -> None:
-    # The sum is finite only if every entry is, and is cheaper to ask in the inner loop.
+    # The sum is finite only if every entry is, and is cheaper to check in the inner loop.
     if not math.isfinite(value.sum().item()):
         raise ValueError(f"{name} must be finite, got NaN or infinity")

@@ -25,7 +25,7 @@ from smp_planner.planning.settings import PlanSettings
 __all__ = ["THICKNESS", "PointCloud", "learned_cloud"]
 
 THICKNESS = 0.05
-"""Extents (m for a robot), how deep things are taken to be unless the cloud says otherwise."""
+"""Extents (m for a robot), default depth of objects behind their seen surface."""
 
 _SEED = 0
 """Seed of points and training: the map belongs to the cloud, whatever the seed of a plan."""
@@ -43,8 +43,8 @@ class PointCloud:
         points: (N, 3) in the unit of the path; for a robot m, in the frame of its root link.
         sensor: (3,) where the camera stood, or (N, 3) for each point its own, so that clouds of
             several cameras make one; same unit.
-        thickness: how deep things are behind their surface, same unit; None takes `THICKNESS`.
-        inflation: by which things are grown while the map is learned, which takes it off again;
+        thickness: depth of objects behind their surface, same unit; None takes `THICKNESS`.
+        inflation: by which objects are grown while the map is learned, which takes it off again;
             same unit. Most points must have a neighbour within it. None takes 0.02 extents (m for
             a robot).
         maps: what has been learned of it, by workspace and settings.
@@ -113,8 +113,8 @@ def learned_cloud(
         cloud: in the user's unit.
         frame: that makes normalised coordinates of it.
         reachable: corners of the box in which the body can be, normalised.
-        radius: of the largest ball that asks, normalised; the map tells distances up to it and
-            `TRUNCATION` more apart.
+        radius: of the largest ball that queries it, normalised; the map is not cut off up to it
+            and `TRUNCATION` more.
         settings: how many points and steps to learn with.
 
     Raises:

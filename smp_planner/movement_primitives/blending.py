@@ -40,7 +40,7 @@ def blend(primitives: Sequence[ProMP], activations: Tensor) -> ProMP:
             positive at each phase; T at least the number of basis functions.
 
     Raises:
-        ValueError: primitives do not fit together, `activations` is not as said, or a position is
+        ValueError: primitives do not fit together, `activations` is not as above, or a position is
             certain under a primitive at a phase where another is active, too (blend first, then
             condition).
     """

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
 from smp_planner.movement_primitives.covariances import smooth_covariance, square_root
-from smp_planner.movement_primitives.samples import alike
+from smp_planner.movement_primitives.samples import equal_stacks
 
 __all__ = [
     "EMSettings",
@@ -43,7 +43,7 @@ class EMSettings:
     counts as `prior_count` further demonstrations whose weights have covariance `prior_std`² I. In
     the usual symbols its scale is `prior_count` `prior_std`² I and its degrees of freedom are
     `prior_count` - KD - 1. (A proper prior needs more than KD - 1 of them; with that many, seven
-    demonstrations would hardly be heard, so the improper limit is taken.)
+    demonstrations would hardly have an effect, so the improper limit is taken.)
 
     Attributes:
         prior_std: standard deviation of a weight under the prior of Σ_w, rad. Divided among N + 1
@@ -160,7 +160,7 @@ def _patterns(demonstration: Tensor, basis: GaussianBasis, noise: Tensor) -> lis
 def infer(
     demonstrations: Tensor, basis: GaussianBasis, mean: Tensor, factor: Tensor, noise: Tensor
 ) -> Posterior:
-    """Return the posterior of the weights given demonstrations that are alike (the E-step).
+    """Return the posterior of the weights given demonstrations of one stack (the E-step).
 
     Computed for the standard normal z of w = μ_w + L z, so Σ_w = L Lᵀ is never inverted. Where some
     dimensions of a sample are missing, those present count through their own block of Σ_y, which is
@@ -211,7 +211,7 @@ def infer(
 
 
 def fitted_weights(demonstrations: Tensor, basis: GaussianBasis) -> Tensor:
-    """Return the weights that fit each of several demonstrations that are alike.
+    """Return the weights that fit each of the demonstrations of one stack.
 
     They are the least-squares fit; where samples are missing, which leaves weights free, the
     posterior mean under a wide prior that is smooth along the phase.
@@ -255,7 +255,7 @@ def expectation_maximization(
         floor.
     """
     settings = settings or EMSettings()
-    groups = alike(demonstrations)
+    groups = equal_stacks(demonstrations)
     mean, covariance, noise = _initial(groups, basis, settings)
     objective: list[float] = []
     observed = sum(int((~torch.isnan(group)).sum()) for group in groups)

@@ -30,7 +30,7 @@ halves of one group lie nearer, at 1.3 if it is Gaussian along a line and at 1.7
 of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % pass for modes."""
 
 LEAST_MODE_SIZE = 3
-"""Demonstrations that make a mode; fewer are odd ones of another."""
+"""Least number of demonstrations in a mode; fewer are outliers of another."""
 
 _COMPARED_PHASES = 200
 """Phases over which the distance of two paths is averaged."""

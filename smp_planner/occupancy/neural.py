@@ -307,7 +307,7 @@ class PointNetworkMap:
 
         Args:
             network: the classifier.
-            workspace: as in `grid.bake`; outside, the nearest point of its boundary answers.
+            workspace: as in `grid.bake`; outside, the value is that of the nearest boundary point.
             spacing: m; what is thinner, after inflation, may be lost.
             truncation: m.
 

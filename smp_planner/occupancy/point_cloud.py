@@ -1,7 +1,7 @@
 """Labelled points from a point cloud, as of a depth camera, for `train_map`.
 
-A camera sees the front of things. What lies behind a seen surface, within a thickness, is taken for
-occupied, and all else that was not seen for free.
+A camera sees the front of objects. What lies behind a seen surface, within a thickness, is taken
+for occupied, and all else that was not seen for free.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def label_point_cloud(
         sensor: (3,) m, where the camera stood, or (N, 3) for each point its own.
         count: how many points to draw.
         rng: source of randomness.
-        thickness: m, how deep things are taken to be behind their surface.
+        thickness: m, depth of objects behind their surface.
         inflation: m, as above; the same is to be given to `train_map`.
         workspace: lower and upper corner of the box that the points are in, m; points of the cloud
             outside are left out.

@@ -4,13 +4,13 @@
 checkpoints of a stroke hold the pen all along, so a path round an obstacle is short and sharp: it
 needs a wider prior, and obstacles that outweigh what holds it. A push holds the middle of the
 trajectory, so what comes before and after it is short and must bend more sharply, too; fewer
-iterations do then. On both, `smp` has a prior of a shorter length scale over a finer basis than the
-paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it is not
-needed, have not.
+iterations are enough then. On both, `smp` has a prior of a shorter length scale over a finer basis
+than the paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it
+is not needed, have not.
 
-What the baselines have of their own is the best of what `scripts/tune_baselines.py` tries: of
+The settings of the baselines are the best of those that `scripts/tune_baselines.py` tries: of
 settings within two points of the highest share of particles that succeed, the one nearest to the
-defaults, since a firmer one gives up likeness for nothing.
+defaults, since one farther off gives up similarity for nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The pipeline from problems to plans, Algorithm 1: condition, draw, adapt, assess, try again.
 
-Robots and balls go through it alike; they differ in how a `Problem` is made. Problems
-are planned in batches: particles that have equally many directions and are equally many in number
-are adapted together, with a leading dimension for each run of them.
+It is the same for robots and balls, which differ in how a `Problem` is made. Problems are planned
+in batches: particles that have equally many directions and are equally many in number are adapted
+together, with a leading dimension for each run of them.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def _draw(
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
         except UnreachableError:
-            # So wide a primitive may be led astray from a goal that it reached before.
+            # So wide a primitive may miss a goal that it reached before.
             if attempt.best is None:
                 raise
             attempt.done = True

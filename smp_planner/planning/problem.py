@@ -54,7 +54,7 @@ class Stage:
     def steps(self, count: int) -> slice:
         """Return the slice of `count` equal steps of phase that covers the stage, ends included."""
         last = count - 1
-        # The margin is for phases that rounding puts a hair beyond a step.
+        # The margin is for phases that rounding puts just beyond a step.
         begin = int(np.floor(self.first * last + 1e-9))
         return slice(begin, int(np.ceil(self.last * last - 1e-9)) + 1)
 

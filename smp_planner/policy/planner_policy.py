@@ -260,7 +260,7 @@ class PlannerPolicy:
         """Write method, settings, demonstrations and seed to one file, without pickle.
 
         Raises:
-            ValueError: the policy was given its planner, of which no method is known.
+            ValueError: the policy was made from a planner, not from a method.
         """
         if self._made_by is None:
             raise ValueError(

@@ -1,7 +1,7 @@
 """Trajectory tracking: actions from a trajectory, and the gripper's events along it.
 
 The environments integrate an action into a joint reference that the motors follow, so a
-trajectory is executed by asking, at each control step, for the difference between where the
+trajectory is executed by commanding, at each control step, the difference between where the
 reference should be and where it is. Nothing accumulates: a step that was cut off at the limits is
 caught up by the next.
 """

@@ -1,6 +1,6 @@
 """`rrt_connect`: RRT-Connect in joint space, with shortcuts and smoothing. The sampling baseline.
 
-The choice of a user without demonstrations to keep to: they only lend the postures in which a
+The choice of a user without demonstrations to keep to: they only give the postures in which a
 place is reached. Randomness comes from the problem's seed and budgets are counts, so a plan depends
 neither on the machine nor on what was planned before.
 """
@@ -295,7 +295,7 @@ class RRTConnectPlanner:
     Of several solutions the shortest is best.
 
     Args:
-        demonstrations: lend the postures in which a place is reached, and nothing else.
+        demonstrations: give the postures in which a place is reached, and nothing else.
         settings: of `RRTConnectSettings` by name; the rest keep their defaults.
 
     Raises:
