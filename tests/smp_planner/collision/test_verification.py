@@ -65,7 +65,7 @@ def test_clearance_is_that_of_dense_sampling(robot, paths):
     distance = signed_distance(centers, OBSTACLES) - robot.radius[moving]
     expected = distance.min(axis=(1, 2))
     check = check_collisions(paths, robot, OBSTACLES)
-    # Sampling misses the minimum by at most half the way between two samples, here 3 mm.
+    # Sampling misses the minimum by at most half the path between two samples, here 3 mm.
     assert (check.clearance <= expected + CLEARANCE_TOLERANCE).all()
     assert (check.clearance >= expected - 3e-3).all()
     clear = (np.abs(expected) > 5e-3) & check.self_free
@@ -145,7 +145,7 @@ def test_what_lies_only_between_two_steps_is_found(rod):
 
 
 def test_self_contact_between_two_steps_is_found(rod):
-    """A sphere of the mount stands in the way of the one on the rod, between all the steps."""
+    """A sphere of the mount stands in the path of the one on the rod, between all the steps."""
     radius = np.array([0.02, 0.05])
     for at, free in ((0.5 + 0.07 - 0.01, False), (0.5 + 0.07 + 0.01, True)):
         center = np.array([[at, 0.0, 0.0], [0.5, 0.0, 0.0]])

@@ -25,7 +25,7 @@ def primitive() -> SMP:
     return learn("Sshape")
 
 
-def test_weights_of_ways_agree_with_importance_sampling(primitive: SMP) -> None:
+def test_weights_of_classes_agree_with_importance_sampling(primitive: SMP) -> None:
     drawn = exact_draws(primitive, FIGURE_1, COARSE, np.random.default_rng(0), FEW)
     ends = common_ends(primitive)
     found = classes(drawn, FIGURE_1.obstacles, ends)
@@ -85,5 +85,5 @@ def test_rows_of_settings() -> None:
     assert [s["setting"] for s in summaries] == [svgd_settings.POSTERIOR, *names]
     for column in svgd_settings.settings_columns(ground):
         assert column.text(summaries[1][column.name])
-    # Particles on their own all climb to the top of their way.
+    # Particles on their own all climb to the top of their class.
     assert rows[4]["spread"] < 0.2 < rows[3]["spread"]
