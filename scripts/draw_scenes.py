@@ -1,4 +1,4 @@
-"""Draw sheets of scenes: what each task looks like at each difficulty.
+"""Draw sheets of scenes: each task at each difficulty.
 
 One PNG file per task and difficulty, twelve scenes on it.
 """

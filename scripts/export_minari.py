@@ -18,7 +18,7 @@ from smp_planner.policy.tracking import Track, gripper_event
 
 
 def tracks(demonstrations: Demonstrations) -> list[Track]:
-    """Return what executes each demonstration as it was given, its own gripper included."""
+    """Return tracks that execute each demonstration as it was given, its own gripper included."""
     return [
         Track(configurations, float(duration), gripper_event(gripper[None]))
         for configurations, duration, gripper in zip(

@@ -19,7 +19,7 @@ from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2A,
     FIGURE_2B,
-    METHODS,
+    LASA_METHODS,
     described,
     scene_of,
 )
@@ -40,7 +40,7 @@ _Vias = Annotated[
 _Goal = Annotated[str | None, typer.Option(help="New end x,y in mm; by default as demonstrated.")]
 _Modes = Annotated[
     int | None,
-    typer.Option(min=1, help="Ways that were demonstrated; by default as the data has it."),
+    typer.Option(min=1, help="Number of demonstrated modes; by default as the data has it."),
 ]
 
 
@@ -63,7 +63,9 @@ def compare(
     Example: python scripts/lasa.py compare --shape GShape --obstacle=-20,0,2 --method smp,cpromp
     """
     scene = scene_of(shape, obstacle, via, goal, FIGURE_1)
-    methods = {name: METHODS[name] for name in chosen_names(method, tuple(METHODS), "--method")}
+    methods = {
+        name: LASA_METHODS[name] for name in chosen_names(method, tuple(LASA_METHODS), "--method")
+    }
     rows = comparison.compare(scene, methods, particles, repetitions, out / "paths.png", modes)
     note = f"{particles} particles, {repetitions} repetitions; {described(scene)}."
     report(rows, ["method"], comparison.COLUMNS, out, "comparison", note)
@@ -93,7 +95,8 @@ def modulate(
     rows = lasa_modulation.modulate(scenes, particles, repetitions, out / "paths.png", modes)
     scenes_text = "; ".join(f"{name}: {described(scene)}" for name, scene in scenes.items())
     note = (
-        f"{particles} particles, {repetitions} repetitions; within {lasa_modulation.TOLERANCE} mm "
+        f"{particles} particles, {repetitions} repetitions; "
+        f"within {lasa_modulation.POINT_TOLERANCE} mm "
         f"a via-point is passed and an end reached. {scenes_text}."
     )
     report(rows, ["scene", "method"], lasa_modulation.COLUMNS, out, "modulation", note)
@@ -132,7 +135,7 @@ def tune(
 
 
 def main() -> None:
-    """Run the commands; what they refuse is said in one line, with exit code 2."""
+    """Run the commands; an error is printed in one line, with exit code 2."""
     try:
         app()
     except (ValueError, ModuleNotFoundError) as error:

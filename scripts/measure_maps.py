@@ -30,7 +30,7 @@ def main(
     "Error" is that of the signed distance within 3 cm of a surface: 95th percentile of its absolute
     value, and 1st and 99th with sign (positive: the map sees more room than there is). A point
     counts as occupied where the distance is negative. "Time" is that of making the map of a scene;
-    for the networks asked at the points themselves, of some 150 000 points.
+    for the networks evaluated at the points themselves, of some 150 000 points.
 
     Example: python scripts/measure_maps.py --scenes 3 --spacing 0.02 --no-trained
     """

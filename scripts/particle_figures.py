@@ -47,10 +47,10 @@ def main(
         console.print(f"wrote {out / 'sides.png'}: left {_said(left)}, right {_said(right)}")
     for task in _TWO_MODES if "modes" in chosen else ():
         pair = find_two_modes(task, range(seeds))
-        names = [out / f"modes_{task}_{way}.mp4" for way in ("over", "beside")]
+        names = [out / f"modes_{task}_{side}.mp4" for side in ("over", "beside")]
         over, beside = draw_two_modes(pair, out / f"modes_{task}.png", (names[0], names[1]))
         console.print(
-            f"wrote {out / f'modes_{task}.png'}: seed {pair.scene.seed}, the ways "
+            f"wrote {out / f'modes_{task}.png'}: seed {pair.scene.seed}, the paths "
             f"{pair.distance:.3f} m apart; over {_said(over)}, beside {_said(beside)}"
         )
 

@@ -1,4 +1,4 @@
-"""How long the planner's costs take: compiled with analytic gradients against autograd."""
+"""Measure the run time of the planner's costs, compiled and by autograd."""
 
 from __future__ import annotations
 

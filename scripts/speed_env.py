@@ -1,4 +1,4 @@
-"""How fast the environments are: steps and resets a second, alone and in several processes.
+"""Measure the speed of the environments: steps and resets a second, in one and in more processes.
 
 Beside them stands `PandaPickAndPlace-v3` of panda-gym, if that is installed (``pip install
 smp-gym[panda]``). Actions are random; steps a second leave out the resets in between.

@@ -1,4 +1,4 @@
-"""Compare the settings of SVGD: success, similarity, ways, their weights, and diversity."""
+"""Compare the settings of SVGD: success, similarity, homotopy classes, their weights, diversity."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def arm(
     priors: Annotated[
         str,
         typer.Option(
-            help=f"Of {', '.join(arm_settings.PRIORS)}, separated by commas. Default: all."
+            help=f"Of {', '.join(arm_settings.PRIOR_WIDTHS)}, separated by commas. Default: all."
         ),
     ] = "",
     difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "hard",
@@ -74,24 +74,24 @@ def arm(
 ) -> None:
     """Plan in scenes of the tasks with each setting; CSV, JSON and Markdown to OUT.
 
-    Nothing is executed: sets are judged by the planners' exact check.
+    Nothing is executed: sets are assessed by the planners' exact check.
 
     Example: python scripts/svgd_settings.py arm --tasks Placement --scenes 5 --jobs 4
     """
     one_of(difficulty, DIFFICULTIES, "--difficulty")
     cells = arm_settings.cells_of(
         chosen_names(tasks, TASKS, "--tasks"),
-        chosen_names(priors, tuple(arm_settings.PRIORS), "--priors"),
+        chosen_names(priors, tuple(arm_settings.PRIOR_WIDTHS), "--priors"),
         difficulty,
         tuning_seeds(seed, scenes),
     )
-    together = len(arm_settings.VARIANTS)
+    together = len(arm_settings.COMPARED_SETTINGS)
     rows = pooled(arm_settings.measure_cell, cells, "plans", Console(), jobs=jobs, chunk=together)
     rows.sort(key=lambda row: (str(row["task"]), str(row["prior"])))
     note = (
         f"Mean ± standard deviation over {scenes} scenes of difficulty {difficulty}, seeds from "
         f"{seed} on, one plan each without another try; the reference of similarity is the "
-        "primitive tied to the scene's start and goal."
+        "primitive conditioned on the scene's start and goal."
     )
     report(rows, ("task", "prior", "variant"), arm_settings.COLUMNS, out, "arm", note)
 

@@ -1,4 +1,4 @@
-"""Train the shape networks of the default occupancy map and put them where the package looks.
+"""Train the shape networks of the default occupancy map and put them where the package finds them.
 
 They are trained once for all scenes, so this needs to run again only if the shapes, the form of the
 networks or the truncation distance change.

@@ -1,8 +1,8 @@
 """Movement primitives adapted to new scenes by Stein variational gradient descent.
 
-The front door: `SMP` learns from demonstrations of one's own and plans without an environment,
+The front door: `SMP` learns from the user's demonstrations and plans without an environment,
 `PlannerPolicy` plans and acts in the environments of `smp_gym`, `make_planner` gives the planner
-inside. What is named here is loaded when it is first asked for.
+inside. What is named here is loaded at its first use.
 """
 
 from importlib import import_module

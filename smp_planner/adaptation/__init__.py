@@ -1,4 +1,4 @@
-"""How a primitive is adapted to what it has not seen: SVGD, and the paper's baselines.
+"""Methods of adapting a primitive to new scenes: SVGD, and the paper's baselines.
 
 An adaptation is a function and its settings, data. It knows trajectories and their costs only, no
 arm and no scene.
@@ -37,12 +37,12 @@ __all__ = [
 
 
 class Unadapted(BaseModel, frozen=True, extra="forbid"):
-    """Settings of what is conditioned only: there are none."""
+    """Settings of conditioning alone: there are none."""
 
 
 @dataclass(frozen=True)
 class Adaptation:
-    """A function with its settings.
+    """An adaptation: a function with its settings.
 
     Attributes:
         settings: of the function.
@@ -63,7 +63,7 @@ ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
         "promp_diff": Adaptation(FlowSettings(), flow),
     }
 )
-"""By name of the method, with default settings: Stein Movement Primitives, conditioning alone
+"""Adaptations by name, with default settings: Stein Movement Primitives, conditioning alone
 (Sec. III-A), and the paper's baselines CProMPs, ProMPT-O and ProMPs-Diff."""
 
 

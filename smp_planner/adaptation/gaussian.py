@@ -16,8 +16,8 @@ from smp_planner.movement_primitives import ProMP
 __all__ = ["AdaptGaussian", "one_gaussian"]
 
 AdaptGaussian = Callable[[ProMP, SceneCosts, np.random.Generator, Any], tuple[Tensor, Tensor]]
-"""From a prior, its scene, a generator and settings to mean (r,) and factor (r, r) of a Gaussian in
-the prior's whitened coordinates, where the prior is N(0, I)."""
+"""Map from a prior, its scene, a generator and settings to a Gaussian, mean (r,) and factor (r, r),
+in the prior's whitened coordinates, where the prior is N(0, I)."""
 
 
 def one_gaussian(adapt_gaussian: AdaptGaussian) -> Adapt:

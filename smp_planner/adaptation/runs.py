@@ -1,4 +1,4 @@
-"""What an adaptation works on: B runs of particles, their paths, and the target's gradient."""
+"""State of an adaptation: B runs of particles, their paths, and the target's gradient."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from smp_planner.movement_primitives import ProMP, phases
 __all__ = ["Adapt", "Good", "Runs", "SceneCosts", "Target", "latent_gradient"]
 
 Good = Callable[[Tensor], NDArray[np.bool_]]
-"""From particles (B, P, r) in whitened coordinates to which of them, (B, P), are good already."""
+"""Map from particles (B, P, r) in whitened coordinates to the mask (B, P) of those good already."""
 
 
 class SceneCosts(Protocol):

@@ -24,7 +24,7 @@ class SteinSettings(BaseModel):
         iterations: of SVGD.
         step_size: of its first iteration; None takes the inference's own.
         early_stop: whether to stop as soon as particles hardly move (`inference.converged`), if
-            enough of them are good by then. They are looked at once.
+            enough of them are good by then. They are checked once.
         good_share: of the particles, that is enough.
     """
 

@@ -1,4 +1,4 @@
-"""How an agent does along its training: evaluations, their table and their curve."""
+"""Evaluations of an agent in the course of its training: records, table and curve."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def make_model(env: VecEnv, settings: HyperParameters, seed: int) -> SAC:
         seed: of weights and exploration.
 
     Raises:
-        ValueError: SAC knows no argument of such a name.
+        ValueError: SAC has no argument of such a name.
     """
     arguments: dict[str, Any] = dict(settings.sac)
     if settings.her is not None:
@@ -87,14 +87,14 @@ def load_checkpoint(folder: Path, env: VecEnv) -> SAC | None:
         return None
     model = SAC.load(checkpoint / _MODEL, env=env, device="cpu")
     with warnings.catch_warnings():
-        # The episodes that were under way are cut: what they lacked is never known.
+        # The unfinished episodes are cut: what they lacked is never known.
         warnings.filterwarnings("ignore", message=".*trajectory")
         model.load_replay_buffer(checkpoint / _REPLAY_BUFFER, truncate_last_traj=True)
     return model
 
 
 class _Periodically(BaseCallback):
-    """Calls a function with the agent after every so many steps, another after each of them."""
+    """Callback that calls a function with the agent at intervals, and another after each step."""
 
     def __init__(
         self, period: int, function: Callable[[SAC], None], each: Callable[[int], None]
@@ -115,7 +115,7 @@ class _Periodically(BaseCallback):
 
 
 class Training:
-    """One training, in a folder; starting it again goes on from the last checkpoint.
+    """One training run, in a folder; starting it again goes on from the last checkpoint.
 
     Args:
         folder: to write.
@@ -185,7 +185,7 @@ class Training:
             steps: environment steps, those before an interruption included.
             every: steps from one evaluation to the next.
             episodes: how many each evaluation plays: the tuning seeds from 0 on.
-            progress: told the steps so far and the last rate of success.
+            progress: called with the steps so far and the last rate of success.
         """
 
         def measure(model: SAC) -> None:
@@ -198,12 +198,12 @@ class Training:
             draw_curve(self._folder / "learning_curve.png", self.evaluations, self._title)
             save_checkpoint(model, self._folder)
 
-        def tell(done: int) -> None:
+        def report(done: int) -> None:
             progress(done, self.evaluations[-1].rate if self.evaluations else 0.0)
 
         remaining = steps - self.model.num_timesteps
         if remaining > 0:
-            callback = _Periodically(every, measure, tell)
+            callback = _Periodically(every, measure, report)
             self.model.learn(remaining, callback=callback, reset_num_timesteps=False)
             if self.evaluations[-1:] and self.evaluations[-1].steps == self.model.num_timesteps:
                 return

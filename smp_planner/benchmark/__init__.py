@@ -1,1 +1,1 @@
-"""Measuring methods on paired episodes. The only room of the planner that makes environments."""
+"""Benchmark of methods on paired episodes; here alone the planner makes environments."""

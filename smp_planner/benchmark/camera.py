@@ -23,12 +23,12 @@ __all__ = ["Camera", "Painter", "body_faces"]
 _LIGHT = np.array([0.45, -0.25, 0.86])
 _ROUND = 40
 _PIECE = 0.02
-_MARGIN = 0.03
+_BORDER = 0.03
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A perspective camera that looks at a point.
+    """A perspective camera directed at a point.
 
     Attributes:
         target: (3,) m, in the middle of the picture.
@@ -100,7 +100,7 @@ class Painter:
         self._pieces.append((depth or float(depths.mean()), flat, face, edge, width))
 
     def body(self, body: Obstacle, color: str, alpha: float = 1.0) -> None:
-        """Add the faces of a convex body that look at the camera, lit from above."""
+        """Add the faces of a convex body that face the camera, lit from above."""
         centre = np.array(body.position)
         for face in body_faces(body):
             normal = _normal(face, centre)
@@ -160,7 +160,8 @@ class Painter:
         everything = np.concatenate(outlines)
         low, high = everything.min(axis=0), everything.max(axis=0)
         axes.set(
-            xlim=(low[0] - _MARGIN, high[0] + _MARGIN), ylim=(low[1] - _MARGIN, high[1] + _MARGIN)
+            xlim=(low[0] - _BORDER, high[0] + _BORDER),
+            ylim=(low[1] - _BORDER, high[1] + _BORDER),
         )
         axes.set_aspect("equal")
         axes.set_axis_off()

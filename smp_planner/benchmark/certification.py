@@ -34,7 +34,7 @@ ATTEMPTS = 3
 """Plans that are made for a scene, each with randomness of its own, before it is given up."""
 
 MOST_PLACED = 10
-"""Scenes that are placed at most for each that is wanted."""
+"""Scenes that are placed at most for each that is required."""
 
 _PACKAGES = ("gymnasium", "numba", "numpy", "pybullet", "scipy", "torch")
 

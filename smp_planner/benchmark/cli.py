@@ -1,4 +1,4 @@
-"""The command ``smp-bench``: measure methods, look at results, draw one episode."""
+"""The command ``smp-bench``: measure methods, show results, draw one episode."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ app = typer.Typer(
 )
 
 _Difficulty = Annotated[
-    str, typer.Option(help="How many obstacles on each way: none 0, easy 2, medium 4, hard 6.")
+    str, typer.Option(help="How many obstacles on each route: none 0, easy 2, medium 4, hard 6.")
 ]
 
 _Family = Annotated[
@@ -61,7 +61,7 @@ def _fail(message: str, code: int) -> typer.Exit:
 
 @app.command("list")
 def list_command() -> None:
-    """List the tasks, methods, difficulties and families that `run` knows."""
+    """List the tasks, methods, difficulties and families that `run` accepts."""
     from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, FAMILIES, TASKS
     from smp_planner.planners.registry import installed_methods, known_methods
 
@@ -168,7 +168,7 @@ def run(
 
 
 def _manifest(*arguments: Any, **options: Any) -> Manifest:
-    """Return `make_manifest` of arguments; modules of one's own are looked for here, too."""
+    """Return `make_manifest` of arguments; modules of the working directory are found, too."""
     from smp_planner.benchmark.manifest import make_manifest
 
     if os.getcwd() not in sys.path:

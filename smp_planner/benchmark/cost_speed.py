@@ -1,4 +1,4 @@
-"""How long the planner's costs take: compiled with analytic gradients against autograd."""
+"""Run time of the planner's costs: compiled with analytic gradients against autograd."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 
 __all__ = ["autograd_collision", "cost_table", "make_scene", "make_trajectories"]
 
-MARGIN = 0.01
+SPHERE_MARGIN = 0.01
 """m, by which link spheres are enlarged."""
 
 
@@ -39,9 +39,9 @@ def make_trajectories(
 ) -> NDArray[np.float64]:
     """Return smooth paths (P,T,6) rad between postures over the table."""
     home = np.array([0.0, 3.0, 1.5, 0.0, 2.5, 0.0])
-    start, way = rng.normal(size=(2, particles, 1, 6)) * [[[[0.3]]], [[[0.6]]]]
+    start, change = rng.normal(size=(2, particles, 1, 6)) * [[[[0.3]]], [[[0.6]]]]
     phase = np.linspace(0.0, 1.0, steps)[None, :, None]
-    return np.clip(home + start + way * phase**2 * (3 - 2 * phase), robot.lower, robot.upper)
+    return np.clip(home + start + change * phase**2 * (3 - 2 * phase), robot.lower, robot.upper)
 
 
 def autograd_collision(
@@ -51,7 +51,7 @@ def autograd_collision(
     edge_width: float,
     dtype: torch.dtype,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return what `CollisionCost` does, up to its scale, by tensors and autograd."""
+    """Return value and gradient as `CollisionCost`, up to its scale, by tensors and autograd."""
     q = torch.as_tensor(trajectories, dtype=dtype).requires_grad_()
     moving = robot.link > 0
     centers = robot.sphere_centers(q)[:, :, moving]
@@ -64,7 +64,7 @@ def autograd_collision(
         padding_mode="border",
         align_corners=True,
     ).reshape(centers.shape[:-1])
-    radius = torch.as_tensor(robot.radius[moving], dtype=dtype) + MARGIN
+    radius = torch.as_tensor(robot.radius[moving], dtype=dtype) + SPHERE_MARGIN
     reach = (radius + CUTOFF_WIDTHS * edge_width).clamp(max=float(grid.values.max()))
     floor = torch.sigmoid((radius - reach) / edge_width) ** 2
     excess = (torch.sigmoid((radius - distance) / edge_width) ** 2 - floor).clamp(min=0.0)
@@ -101,7 +101,7 @@ def cost_table(
         oracle = partial(autograd_collision, robot, grid, q, edge_width)
         slow = median_time(partial(oracle, torch.float64), repeats)
         single = median_time(partial(oracle, torch.float32), repeats)
-        fast = median_time(partial(collision, q, edge_width, MARGIN), repeats)
+        fast = median_time(partial(collision, q, edge_width, SPHERE_MARGIN), repeats)
         rows.append((f"{name}: autograd, float64", slow, slow))
         rows.append((f"{name}: autograd, float32", single, slow))
         rows.append((f"{name}: compiled, float64", fast, slow))

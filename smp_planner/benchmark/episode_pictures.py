@@ -35,7 +35,7 @@ from smp_planner.benchmark.episodes import (
 )
 
 __all__ = [
-    "Way",
+    "SceneLine",
     "carried_point",
     "draw_episode",
     "object_paths",
@@ -60,7 +60,7 @@ _AZIMUTH, _ELEVATION, _DISTANCE = -28.0, 28.0, 2.2
 
 
 def object_paths(trajectories: FloatArray, point: FloatArray = GRASP_CENTER) -> FloatArray:
-    """Return the way of the grasped object's centre, or of another point, along trajectories.
+    """Return the path of the grasped object's centre, or of another point, along trajectories.
 
     Args:
         trajectories: (..., T, 6) rad.
@@ -75,7 +75,7 @@ def object_paths(trajectories: FloatArray, point: FloatArray = GRASP_CENTER) -> 
 
 
 def carried_point(scene: Scene) -> FloatArray:
-    """Return the point (3,) m of the end-effector frame whose way is drawn."""
+    """Return the point (3,) m of the end-effector frame whose path is drawn."""
     return GRASP_CENTER if scene.manipulated is not None else PEN_TIP
 
 
@@ -111,7 +111,7 @@ def _paint_table(painter: Painter, points: FloatArray) -> None:
 
 
 @dataclass(frozen=True)
-class Way:
+class SceneLine:
     """A line in a scene.
 
     Attributes:
@@ -132,24 +132,24 @@ class Way:
 def paint_scene(
     axes: Any,
     scene: Scene,
-    ways: Sequence[Way],
+    lines: Sequence[SceneLine],
     azimuth: float = _AZIMUTH,
-    within: Sequence[Way] = (),
+    within: Sequence[SceneLine] = (),
 ) -> None:
     """Paint a scene, the arm at its start, and lines, in perspective.
 
     Args:
         axes: flat axes of matplotlib, fitted to the picture.
         scene: what is painted.
-        ways: lines, each hidden by what is before it.
+        lines: each hidden by what is before it.
         azimuth: degrees, from where it is seen; see `Camera`.
-        within: further lines that there shall be room for, so that pictures can be compared.
+        within: further lines that the view includes, so that pictures can be compared.
     """
     arm = _arm(scene)
     bin_parts = fixtures(scene)[1:]
     bodies = [*scene.obstacles, *bin_parts]
     corners = [np.concatenate(body_faces(body)) for body in bodies]
-    points = np.concatenate([arm, *(way.path for way in (*ways, *within)), *corners])
+    points = np.concatenate([arm, *(line.path for line in (*lines, *within)), *corners])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     target = (float(middle[0]), float(middle[1]), float(middle[2]))
     painter = Painter(Camera(target, azimuth, _ELEVATION, _DISTANCE))
@@ -157,33 +157,34 @@ def paint_scene(
     for body in bodies:
         outline = _outline(body)
         painter.flat(np.column_stack([outline, np.zeros(len(outline))]), _SHADOW)
-    for way in ways:
-        if way.rimmed:
-            painter.flat_line(_on_table(way.path), "#b8b2a6", 2.0)
+    for line in lines:
+        if line.rimmed:
+            painter.flat_line(_on_table(line.path), "#b8b2a6", 2.0)
     for body in scene.obstacles:
         painter.body(body, _OBSTACLE)
     for body in bin_parts:
         painter.body(body, _BIN, alpha=0.3)
     painter.line(arm, "white", 10.0, nearer=-_HALO)
     painter.line(arm, _ARM, 8.0)
-    for way in ways:
-        if way.rimmed:
-            painter.line(way.path, "white", way.width + 2.0, nearer=_FOREGROUND - _HALO)
-            painter.line(way.path, way.color, way.width, nearer=_FOREGROUND)
+    for line in lines:
+        if line.rimmed:
+            painter.line(line.path, "white", line.width + 2.0, nearer=_FOREGROUND - _HALO)
+            painter.line(line.path, line.color, line.width, nearer=_FOREGROUND)
         else:
-            painter.line(way.path, way.color, way.width, dashed=way.dashed)
+            painter.line(line.path, line.color, line.width, dashed=line.dashed)
     painter.paint(axes)
 
 
 def _draw_space(axes: Any, played: PlayedEpisode, demonstrations: FloatArray) -> None:
     plan = played.plan
     paths = object_paths(plan.trajectories, carried_point(played.scene))
-    ways = [
-        Way(path, _FREE if free else _COLLIDING)
+    lines = [
+        SceneLine(path, _FREE if free else _COLLIDING)
         for path, free in zip(paths, plan.collision_free, strict=True)
     ]
-    ways += [Way(path, _DEMONSTRATION, 1.2, dashed=True) for path in demonstrations]
-    paint_scene(axes, played.scene, [*ways, Way(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True)])
+    lines += [SceneLine(path, _DEMONSTRATION, 1.2, dashed=True) for path in demonstrations]
+    lines.append(SceneLine(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True))
+    paint_scene(axes, played.scene, lines)
 
 
 def _draw_from_above(axes: Any, played: PlayedEpisode, demonstrations: FloatArray) -> None:
@@ -236,7 +237,7 @@ def _legend_entries(played: PlayedEpisode, count: int) -> list[Any]:
 def scene_figure(played: PlayedEpisode, path: Path) -> None:
     """Draw scene, particles and demonstrations in 3-D and from above, and write a PNG.
 
-    Lines are ways of the grasped object's centre, or of the pen's tip; the grid on the table has
+    Lines are paths of the grasped object's centre, or of the pen's tip; the grid on the table has
     steps of 0.2 m.
 
     Args:
@@ -296,7 +297,7 @@ def draw_episode(
     """Play one episode and write ``scene_TASK_METHOD.png`` and ``episode_TASK_METHOD.mp4``.
 
     Args:
-        player: knows the method.
+        player: that plays the method.
         key: names the episode.
         folder: of the files; must exist.
         figure: whether to write the image.

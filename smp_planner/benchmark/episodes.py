@@ -1,4 +1,4 @@
-"""One episode of the benchmark: which it is, how it is played, and the row that is kept of it."""
+"""One episode of the benchmark: its key, its rollout, and its row of results."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WARM_UP_SEED = 0
 
 @dataclass(frozen=True, order=True)
 class EpisodeKey:
-    """What identifies an episode of a method.
+    """Identifier of an episode of a method.
 
     Attributes:
         task: name of the task, one of `smp_gym.scene.TASKS`.
@@ -62,7 +62,7 @@ class EpisodeKey:
 
 @dataclass(frozen=True)
 class EpisodeRow:
-    """What is kept of one episode.
+    """Record of one episode.
 
     All but the times at the end depends on the key alone. ``None`` stands where a method has no
     particles.
@@ -74,13 +74,13 @@ class EpisodeRow:
         seed: of the episode.
         success: whether the physics engine judged the episode a success.
         collision: whether a forbidden contact ended it.
-        cause: why it failed; empty after a success.
+        cause: of the failure; empty after a success.
         contact: the two parts of the forbidden contact, if there was one.
         goal_error: distance from the object's centre, or the pen, to where it should end, when the
             episode ended, m.
-        path_length: way of the end effector, m.
+        path_length: of the end effector, m.
         clearance: least distance of arm or held object to an obstacle, judged by the physics, m;
-            the environment does not tell distances above 0.05 apart.
+            the environment reports distances up to 0.05 only.
         steps: environment steps.
         half: of the frozen list, see `EpisodeKey`.
         family: of the scene, see `EpisodeKey`.
@@ -92,7 +92,7 @@ class EpisodeRow:
         chosen_clearance: its least distance to anything in the exact map, m.
         chosen_goal_error: distance of its end to the nearest goal region, m.
         chosen_duration: its shortest execution within the joint velocity limits, s.
-        message: what the planner said when no particle was good.
+        message: of the planner when no particle was good.
         planning_time: time of the whole plan, s.
         episode_time: time of the episode from reset to its end, planning included, s.
         stage_times: time of each stage of the plan by name, s; not in the CSV.
@@ -127,14 +127,14 @@ class EpisodeRow:
 
     @property
     def key(self) -> EpisodeKey:
-        """Which episode this is."""
+        """Identifier of the episode."""
         return EpisodeKey(
             self.task, self.method, self.difficulty, self.seed, self.half, self.family
         )
 
 
 class EpisodePlayer(Protocol):
-    """Anything that plays an episode by its key; must be picklable."""
+    """Protocol of what plays an episode by its key; must be picklable."""
 
     def __call__(self, key: EpisodeKey) -> EpisodeRow:
         """Return the row of one episode."""
@@ -143,11 +143,11 @@ class EpisodePlayer(Protocol):
 
 @dataclass(frozen=True)
 class PlayedEpisode:
-    """An episode that was played.
+    """A played episode: its scene, plan and row.
 
     Attributes:
         row: what the store keeps.
-        scene: as the first observation tells it.
+        scene: decoded from the first observation.
         plan: the particles.
         object_path: (steps + 1, 3) m, positions of the object's centre.
     """
@@ -159,7 +159,7 @@ class PlayedEpisode:
 
 
 def kind_of_scene(difficulty: str, family: str) -> str:
-    """Return what to call the scenes of a difficulty and a family: furniture has no difficulty."""
+    """Return the name of the scenes of a difficulty and a family: furniture has no difficulty."""
     return f"difficulty {difficulty}" if family == FAMILIES[0] else f"furniture: {family}"
 
 

@@ -1,4 +1,4 @@
-"""What a run of the benchmark answers: which episodes of which methods, under which versions."""
+"""Manifest of a benchmark run: its episodes and methods, and the versions that it ran under."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SOURCE_SUFFIXES = (".py", ".json", ".npz", ".urdf", ".obj", ".safetensors", ".g
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a folder of results answers.
+    """Description of a folder of results.
 
     Attributes:
         tasks: names of the tasks.

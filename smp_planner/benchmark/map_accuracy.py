@@ -1,4 +1,4 @@
-"""How well the default occupancy map, baked as planners use it, tells occupied from free."""
+"""Accuracy of the default occupancy map, baked as planners use it, in occupied and free space."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INSIDE = 0.01
 OUTSIDE = (0.02, 0.06)
 """Distances, m, between which a point should be free."""
 
-NEAR = 0.03
+ERROR_BAND = 0.03
 """Distance, m, from the surface within which the error is measured."""
 
 _POINTS_PER_OBSTACLE = 4000
@@ -56,7 +56,7 @@ class MapAccuracy:
             learned: those of the map.
         """
         occupied = occupancy(learned) > 0.5
-        near = np.abs(exact) < NEAR
+        near = np.abs(exact) < ERROR_BAND
         return cls(
             scenes=scenes,
             points=len(exact),
@@ -100,7 +100,7 @@ def measure(
 
 
 def measure_default_map(scenes: Sequence[Scene]) -> MapAccuracy | None:
-    """Return the accuracy of the map that planners use when they are told nothing else."""
+    """Return the accuracy of the map that planners use by default."""
     networks = default_networks()
     grids = [bake(ShapeNetworkMap((*s.obstacles, *fixtures(s)), networks)) for s in scenes]
     return measure(scenes, grids, np.random.default_rng(0))

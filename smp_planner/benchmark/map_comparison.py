@@ -1,4 +1,4 @@
-"""How exact the occupancy maps are and how long they take, side by side on random scenes."""
+"""Comparison of the occupancy maps on random scenes: accuracy and run time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from smp_gym.arrays import FloatArray
 from smp_gym.geometry.distance import PackedObstacles, signed_distance
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import SHAPES, TABLE, Goal, Obstacle, Scene, fixtures
-from smp_planner.benchmark.map_accuracy import NEAR, MapAccuracy
+from smp_planner.benchmark.map_accuracy import ERROR_BAND, MapAccuracy
 from smp_planner.benchmark.timing import timed
 from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.grid import bake
@@ -38,7 +38,7 @@ LABELLED, INFLATION = 100_000, 0.02
 
 @dataclass
 class Record:
-    """What was measured of one map, an entry for each scene.
+    """Measurements of one map, an entry for each scene.
 
     Attributes:
         seconds: that it took to make.
@@ -152,7 +152,7 @@ def map_table(records: Mapping[str, Record], title: str) -> Table:
     for name, record in records.items():
         found, exact = np.concatenate(record.found), np.concatenate(record.exact)
         accuracy = MapAccuracy.of(len(record.found), exact, found)
-        low, high = np.percentile((found - exact)[np.abs(exact) < NEAR], [1, 99])
+        low, high = np.percentile((found - exact)[np.abs(exact) < ERROR_BAND], [1, 99])
         table.add_row(
             name,
             f"{1e3 * accuracy.error_p95:.2f}",

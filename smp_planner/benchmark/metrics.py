@@ -72,7 +72,7 @@ class Metrics:
 
 @dataclass(frozen=True)
 class SuccessRates:
-    """How many succeed, counted in two ways, from `success_rates`.
+    """Success rates of trajectories and of their waypoints; see `success_rates`.
 
     Attributes:
         trajectories: share of trajectories that reach the goal and are free at all waypoints.
@@ -173,7 +173,7 @@ def wasserstein(a: ArrayLike, b: ArrayLike) -> float:
 
 
 def frechet(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the mean of minima of the discrete Fréchet distance between two sets, both ways.
+    """Return the mean of minima of the discrete Fréchet distance between two sets, symmetric.
 
     Each trajectory of either set has a nearest one in the other. The result is half the mean of
     these distances over a, and half that over b. It sees modes that one of the sets lacks,
@@ -196,7 +196,7 @@ def frechet(a: ArrayLike, b: ArrayLike) -> float:
 def frechet_distances(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Return the discrete Fréchet distance of every two trajectories (Eiter & Mannila 1994).
 
-    The greatest distance of two points on their way along the samples of a trajectory each, never
+    The greatest distance of two points that move along the samples of a trajectory each, never
     back, at the paces that make it least.
 
     Args:
@@ -275,7 +275,7 @@ def log_dimensionless_jerk(trajectories: ArrayLike) -> FloatArray:
 
 
 def success_rates(collision_free: ArrayLike, reached: ArrayLike) -> SuccessRates:
-    """Return the success rate of a set, counted in two ways.
+    """Return the success rates of a set, of whole trajectories and of waypoints.
 
     The paper counts trajectories that reach the goal without collision, yet its percentages are no
     counts out of 20 tests of 42 trajectories; those of waypoints could be. So both are given.

@@ -1,4 +1,4 @@
-"""What command lines share: lists of names, seeds, progress bars and pools of workers."""
+"""Shared parts of command lines: lists of names, seeds, progress bars and pools of workers."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def progress_bar(
 
     Args:
         title: text before the bar.
-        total: how many there are; None if that is told later.
+        total: how many there are; None if that is set later.
         console: to show it on.
         transient: take the bar away at the end.
 

@@ -1,7 +1,7 @@
 """A folder of results: a manifest and a file of rows that is only added to, so that runs continue.
 
-``manifest.json`` says what was asked, with which versions. The file of rows holds one JSON object a
-line, written as its row is done; a line torn by a crash is dropped.
+``manifest.json`` holds what was requested, with which versions. The file of rows holds one JSON
+object a line, written as its row is done; a line torn by a crash is dropped.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _GROWING = "episodes"
 
 
 class KeyedRow(Protocol):
-    """A dataclass of what is kept of one piece of work."""
+    """Protocol of rows: dataclasses that record one piece of work each."""
 
     @property
     def key(self) -> Any:
-        """Which piece of work it is."""
+        """Identifier of the piece of work."""
         ...
 
 

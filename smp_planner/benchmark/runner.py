@@ -27,7 +27,7 @@ Row = TypeVar("Row")
 
 
 class WorkerDiedError(RuntimeError):
-    """A worker process ended without an answer (killed, or out of memory)."""
+    """A worker process ended without a result (killed, or out of memory)."""
 
 
 class EpisodeFailedError(RuntimeError):
@@ -112,7 +112,7 @@ def play_missing(
 
     Args:
         store: the folder.
-        keys: all that it shall hold, in the order in which it is played.
+        keys: of its rows, in the order of play.
         player: returns the row of a key; importable by name, for it runs in other processes.
         jobs: number of worker processes.
         on_progress: called with the number of keys that are done and of all.

@@ -21,8 +21,8 @@ from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.results_folder import write_table
 
 __all__ = [
-    "COLUMNS",
     "CONFIDENCE",
+    "CSV_COLUMNS",
     "mean_interval",
     "rate_interval",
     "summarise",
@@ -30,7 +30,7 @@ __all__ = [
     "write_csv",
 ]
 
-COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
+CSV_COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
 """Columns of ``episodes.csv``; the last two are times and differ from run to run."""
 
 CONFIDENCE = 0.95
@@ -157,9 +157,11 @@ def summarise(
 
 
 def write_csv(path: Path, rows: Sequence[EpisodeRow]) -> None:
-    """Write rows sorted by task, method, difficulty and seed; columns are `COLUMNS`."""
+    """Write rows sorted by task, method, difficulty and seed; columns are `CSV_COLUMNS`."""
     ordered = sorted(rows, key=lambda row: row.key)
-    write_table(path, COLUMNS, [[getattr(row, name) for name in COLUMNS] for row in ordered])
+    write_table(
+        path, CSV_COLUMNS, [[getattr(row, name) for name in CSV_COLUMNS] for row in ordered]
+    )
 
 
 def _percent(estimate: Mapping[str, float] | None) -> str:

@@ -51,7 +51,7 @@ CUTOFF_WIDTHS = 6.0
 """Edge widths from a sphere's surface at which its occupancy counts as zero (p^2 = 6e-6 there)."""
 
 VELOCITY_FRACTION = 0.9
-"""Share of a joint's velocity limit that plans may use: up to it the grasp is known to hold."""
+"""Share of a joint's velocity limit that plans may use: up to it a grasp holds."""
 
 
 class Cost(Protocol):
@@ -96,8 +96,8 @@ def _positive(name: str, value: float) -> float:
 class CollisionCost:
     """Squared occupancy of the link spheres, Eq. (12).
 
-    The map is asked at every sphere that moves: p = sigma(-(d - r - margin) / edge_width) with d
-    the distance of the centre to the nearest obstacle and r the radius. Summed is p^2 less the
+    The map is evaluated at each moving sphere: p = sigma(-(d - r - margin) / edge_width) with d the
+    distance of the centre to the nearest obstacle and r the radius. Summed is p^2 less the
     value that it has where the map is cut off or `CUTOFF_WIDTHS` edge widths away, whichever is
     nearer: a sphere far from everything costs exactly nothing, and nothing is computed for it.
 

@@ -1,8 +1,8 @@
-"""Whether configurations and straight edges between them are free, at the speed of a tree search.
+"""Collision check of configurations and of straight edges between them, for tree searches.
 
 The same geometry and the same bound as `smp_planner.collision.verification`, for the question that
-a search asks ten thousand times: not how near a path comes, but whether it keeps a given distance.
-The first configuration that does not keep it ends the answer, and what is far from everything is
+a search poses ten thousand times: not how near a path comes, but whether it keeps a given distance.
+The first configuration that does not keep it ends the check, and what is far from everything is
 not measured again.
 """
 
@@ -25,12 +25,12 @@ from smp_gym.robot.forward_kernels import chain, place, sine_cosine
 from smp_gym.robot.kinematics import concatenate
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
-from smp_planner.collision.verification import TOLERANCE, self_gap_of
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, self_gap_of
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
 
-# Halvings of one edge: enough for ways of a kilometre.
-_DEPTH = 22
+# Halvings of one edge: enough for paths of a kilometre.
+_MOST_HALVINGS = 22
 
 
 class World(NamedTuple):
@@ -69,7 +69,7 @@ class Scratch(NamedTuple):
     placed: FloatArray
     balls: FloatArray
     links: IntArray
-    way: FloatArray
+    travel: FloatArray
     measured: FloatArray
     at: FloatArray
     gap: FloatArray
@@ -91,9 +91,9 @@ def new_scratch(world):
         np.arange(joints + 1),
         np.empty(spheres),
         np.empty(spheres),
-        np.empty(_DEPTH + 2),
-        np.empty((_DEPTH + 2, spheres)),
-        np.empty(_DEPTH + 2),
+        np.empty(_MOST_HALVINGS + 2),
+        np.empty((_MOST_HALVINGS + 2, spheres)),
+        np.empty(_MOST_HALVINGS + 2),
     )
 
 
@@ -101,7 +101,7 @@ def new_scratch(world):
 def _measure(world, scratch, row):
     """Write the gaps at `scratch.angles` to a row; return whether all are wide enough.
 
-    A gap wider than the sphere's way along the whole edge settles the edge for that sphere: it is
+    A gap wider than the sphere's path along the whole edge settles the edge for that sphere: it is
     kept and not measured again.
     """
     robot = world.robot
@@ -116,7 +116,7 @@ def _measure(world, scratch, row):
     )
     placed = scratch.placed
     place(scratch.rotation, scratch.position, robot.link, robot.center, placed)
-    least_allowed = world.margin + TOLERANCE
+    least_allowed = world.margin + CLEARANCE_TOLERANCE
     for part in range(world.parts.shape[0] - 1, -1, -1):
         first, last = world.parts[part, 2], world.parts[part, 3]
         shape, rotation = world.shape[first:last], world.rotation[first:last]
@@ -128,7 +128,7 @@ def _measure(world, scratch, row):
                 scratch.gap[row, s] = np.inf
                 continue
             gap = scratch.measured[s]
-            if gap < least_allowed + scratch.way[s]:
+            if gap < least_allowed + scratch.travel[s]:
                 x, y, z = placed[s, 0, 0], placed[s, 1, 0], placed[s, 2, 0]
                 gap = (
                     point_distance(x, y, z, shape, rotation, position, size, bound)
@@ -140,25 +140,25 @@ def _measure(world, scratch, row):
             scratch.gap[row, s] = gap
     place(scratch.rotation, scratch.position, scratch.links, robot.ball_center, scratch.balls)
     scratch.self_gap[row] = self_gap_of(placed, scratch.balls, 0, robot)
-    return scratch.self_gap[row] >= 2.0 * TOLERANCE
+    return scratch.self_gap[row] >= 2.0 * CLEARANCE_TOLERANCE
 
 
 @kernel(fastmath=FAST)
 def edge_is_free(world, scratch, start, end):
     """Return whether the straight edge between configurations (n,) rad is certainly free.
 
-    Free is what keeps `world.margin` to all obstacles and `TOLERANCE` to itself all along. An edge
-    that keeps less than `TOLERANCE` more than that may be refused. Settled by interval halving with
-    the bound (a + b - h w_s) / 2 of `smp_planner.collision.verification`.
+    Free is what keeps `world.margin` to all obstacles and `CLEARANCE_TOLERANCE` to itself all
+    along. An edge that keeps less than that tolerance more may be refused. Settled by interval
+    halving with the bound (a + b - h w_s) / 2 of `smp_planner.collision.verification`.
     """
     joints, spheres = start.shape[0], world.robot.link.shape[0]
-    way, at, gap, self_gap = scratch.way, scratch.at, scratch.gap, scratch.self_gap
+    travel, at, gap, self_gap = scratch.travel, scratch.at, scratch.gap, scratch.self_gap
     longest = 0.0
     for s in range(spheres):
-        way[s] = 0.0
+        travel[s] = 0.0
         for j in range(joints):
-            way[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
-        longest = max(longest, way[s])
+            travel[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
+        longest = max(longest, travel[s])
         scratch.measured[s] = -np.inf
     # Row 0 is the configuration up to which the edge is settled; above it those still ahead.
     at[0], at[1] = 0.0, 1.0
@@ -171,11 +171,11 @@ def edge_is_free(world, scratch, start, end):
     while top > 0:
         share = at[top] - at[0]
         settled = True
-        if share * longest > 2.0 * TOLERANCE and top < _DEPTH + 1:
-            settled = self_gap[0] + self_gap[top] - share * longest >= 2.0 * TOLERANCE
+        if share * longest > 2.0 * CLEARANCE_TOLERANCE and top < _MOST_HALVINGS + 1:
+            settled = self_gap[0] + self_gap[top] - share * longest >= 2.0 * CLEARANCE_TOLERANCE
             if settled:
                 for s in range(spheres):
-                    if gap[0, s] + gap[top, s] - share * way[s] < 2.0 * world.margin:
+                    if gap[0, s] + gap[top, s] - share * travel[s] < 2.0 * world.margin:
                         settled = False
                         break
         if settled:
@@ -204,29 +204,31 @@ def _edges(world, starts, ends, free):
 
 
 class EdgeChecker:
-    """The free space of a robot among obstacles.
+    """Collision check of a robot among obstacles, by configurations and straight edges.
 
     Args:
         robot: the arm and what it carries.
         obstacles: bodies at rest.
-        margin: m, distance to keep to obstacles; at least `TOLERANCE`, so that what is free here is
-            free for `smp_planner.collision.verification` too.
+        margin: m, distance to keep to obstacles; at least `CLEARANCE_TOLERANCE`, so that what is
+            free here is free for `smp_planner.collision.verification` too.
         parts: (K,4), which spheres must stay clear of which obstacles, as in `World`; by default
             all of all.
 
     Raises:
-        ValueError: `margin` is less than `TOLERANCE` or not finite.
+        ValueError: `margin` is less than `CLEARANCE_TOLERANCE` or not finite.
     """
 
     def __init__(
         self,
         robot: RobotModel,
         obstacles: Sequence[Obstacle] | PackedObstacles,
-        margin: float = TOLERANCE,
+        margin: float = CLEARANCE_TOLERANCE,
         parts: ArrayLike | None = None,
     ) -> None:
-        if not (math.isfinite(margin) and margin >= TOLERANCE):
-            raise ValueError(f"margin must be finite and at least {TOLERANCE}, got {margin}")
+        if not (math.isfinite(margin) and margin >= CLEARANCE_TOLERANCE):
+            raise ValueError(
+                f"margin must be finite and at least {CLEARANCE_TOLERANCE}, got {margin}"
+            )
         packed = (
             obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
         )
@@ -238,7 +240,7 @@ class EdgeChecker:
     def of_all(
         cls,
         bodies: Sequence[tuple[RobotModel, Sequence[Obstacle]]],
-        margin: float = TOLERANCE,
+        margin: float = CLEARANCE_TOLERANCE,
     ) -> EdgeChecker:
         """Return the space that is free for several sets of spheres of the JACO at once.
 
@@ -249,7 +251,7 @@ class EdgeChecker:
             margin: see the class.
 
         Raises:
-            ValueError: `margin` is less than `TOLERANCE` or not finite.
+            ValueError: `margin` is less than `CLEARANCE_TOLERANCE` or not finite.
         """
         if len(bodies) == 1:
             return cls(*bodies[0], margin)
@@ -275,8 +277,8 @@ class EdgeChecker:
     def edges_free(self, starts: ArrayLike, ends: ArrayLike) -> NDArray[np.bool_]:
         """Return (N,) whether the straight edges between configurations (N,n) rad are free.
 
-        Free is what certainly keeps `margin` to all obstacles and `TOLERANCE` to itself all along.
-        An edge that keeps less than `TOLERANCE` more than that may be refused.
+        Free is what certainly keeps `margin` to all obstacles and `CLEARANCE_TOLERANCE` to itself
+        all along. An edge that keeps less than that tolerance more may be refused.
 
         Raises:
             ValueError: wrong shape, or not finite.

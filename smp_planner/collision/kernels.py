@@ -69,7 +69,7 @@ def project(rotation, position, force, moment, gradient):
 def least_of_blocks(values):
     """Return the least value that the interpolant takes in each block of `BLOCK`^3 cells.
 
-    Most spheres are far from everything; one look at this small grid tells.
+    Most spheres are far from everything; one lookup in this small grid tells.
 
     Args:
         values: (X,Y,Z) grid of distances, m.

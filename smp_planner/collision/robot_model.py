@@ -31,7 +31,7 @@ def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LinkPairs:
-    """Pairs of spheres that shall not touch, by pair of links, with a ball around each link.
+    """Pairs of spheres that must not touch, by pair of links, with a ball around each link.
 
     Attributes:
         pairs: (M,2) indices of spheres, sorted by pair of links.
@@ -49,7 +49,7 @@ class LinkPairs:
 
 
 class RobotArrays(NamedTuple):
-    """A robot as the compiled loops of the collision checks take it.
+    """Arrays of a robot for the compiled loops of the collision checks.
 
     Attributes:
         base: (4,4) pose of link 0.
@@ -90,7 +90,7 @@ class RobotModel:
         lower: (n,) rad, joint limits.
         upper: (n,) rad.
         velocity: (n,) rad/s, joint velocity limits.
-        spheres: what must stay clear of obstacles; held things belong to the last link.
+        spheres: what must stay clear of obstacles; held objects belong to the last link.
         collision_pairs: (M,2) indices of spheres that must stay clear of each other.
     """
 
@@ -139,7 +139,7 @@ class RobotModel:
 
     @property
     def endless(self) -> NDArray[np.bool_]:
-        """(n,) which joints reach the same place in more than one way."""
+        """(n,) true for joints with a range of more than a turn."""
         return np.asarray(self.upper - self.lower > 2 * np.pi)
 
     @cached_property
@@ -204,7 +204,7 @@ class RobotModel:
 
     @cached_property
     def arrays(self) -> RobotArrays:
-        """All that the compiled loops of the collision checks need."""
+        """Arrays for the compiled loops of the collision checks."""
         pairs = self.link_pairs
         return RobotArrays(
             self.base,
@@ -267,7 +267,7 @@ class RobotModel:
     def link_transforms(self, configurations: torch.Tensor) -> torch.Tensor:
         """Return the poses (..., n + 1, 4, 4) of all links, differentiable by autograd.
 
-        The slow and plain way through the chain, in the dtype and on the device of the argument:
+        The slow and plain product of the chain, in the dtype and on the device of the argument:
         the oracle of the compiled loops.
 
         Args:
@@ -297,7 +297,7 @@ class RobotModel:
         return torch.stack(poses, dim=-3)
 
     def sphere_centers(self, configurations: torch.Tensor) -> torch.Tensor:
-        """Return the centres (..., S, 3) m of all spheres in the base frame, by autograd's way.
+        """Return the centres (..., S, 3) m of all spheres in the base frame, by autograd.
 
         Args:
             configurations: (..., n) rad.
@@ -324,7 +324,7 @@ def jaco_of_spheres(spheres: SphereSet) -> RobotModel:
     """Return the JACO j2s6s200 with the given spheres in place of its own.
 
     Args:
-        spheres: of arm, fingers and held things, or a part of them.
+        spheres: of arm, fingers and held objects, or a part of them.
     """
     return RobotModel(
         base=kinematics.BASE_TRANSFORM,

@@ -3,7 +3,7 @@
 Nothing learned and no grid, unless a grid is all that is known of a scene: spheres against the
 exact distance of the obstacles, along the whole piecewise linear path in joint space. Between two
 configurations no sphere can come nearer to anything than half of what is left of the two distances
-after the length of its way is taken off; where that does not settle the matter, the segment is
+after the length of its path is taken off; where that does not settle the matter, the segment is
 halved. So the result holds for the path, not only for samples of it.
 """
 
@@ -28,8 +28,8 @@ from smp_planner.collision.robot_model import RobotModel
 from smp_planner.occupancy.grid import DistanceGrid, lookup
 
 __all__ = [
+    "CLEARANCE_TOLERANCE",
     "DURATION_LIMIT",
-    "TOLERANCE",
     "CollisionCheck",
     "Verification",
     "check_collisions",
@@ -38,7 +38,7 @@ __all__ = [
     "within_joint_limits",
 ]
 
-TOLERANCE = 1e-3
+CLEARANCE_TOLERANCE = 1e-3
 """Metres by which the clearance of a path may be overestimated."""
 
 DURATION_LIMIT = 15.0
@@ -47,18 +47,18 @@ DURATION_LIMIT = 15.0
 # Distances of farther pairs of spheres of the arm are not told apart, m.
 _SELF_HORIZON = 0.05
 # Halvings of one segment: enough for a segment of a kilometre at a tolerance of a millimetre.
-_DEPTH = 22
+_MOST_HALVINGS = 22
 # Arrays of `lookup`, and the steepness of the distance, where there is no grid.
 _NO_GRID = np.empty((0, 0, 0), np.float32), np.zeros(3), 1.0, 1.0
 
 
 @dataclass(frozen=True)
 class CollisionCheck:
-    """What the check against obstacles and the arm itself found, for P trajectories.
+    """Results of the check of P trajectories against obstacles and the arm itself.
 
     Attributes:
         clearance: (P,) m, least distance of a sphere to an obstacle, negative inside; infinity
-            without obstacles. The path may come nearer by `TOLERANCE`, no more.
+            without obstacles. The path may come nearer by `CLEARANCE_TOLERANCE`, no more.
         free: (P,) whether the whole path is certainly clear of obstacles and of the arm itself.
         self_free: (P,) whether it is clear of the arm itself.
     """
@@ -70,7 +70,7 @@ class CollisionCheck:
 
 @dataclass(frozen=True)
 class Verification:
-    """All that decides whether trajectories can be executed, for P of them.
+    """Results of all checks of P trajectories: collisions, joint limits, duration.
 
     Attributes:
         collision_free: (P,) as `CollisionCheck.free`.
@@ -165,11 +165,11 @@ def _check(
     links = np.arange(joints + 1)
     measured_at = np.empty((spheres, 3))
     measured = np.empty(spheres)
-    way = np.empty(spheres)
+    travel = np.empty(spheres)
     # Row 0 is the configuration up to which the path is settled; above it those still ahead.
-    at = np.empty(_DEPTH + 2)
-    gap = np.empty((_DEPTH + 2, spheres))
-    self_gap = np.empty(_DEPTH + 2)
+    at = np.empty(_MOST_HALVINGS + 2)
+    gap = np.empty((_MOST_HALVINGS + 2, spheres))
+    self_gap = np.empty(_MOST_HALVINGS + 2)
     for p in range(count):
         sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
         chain(sine, cosine, base, origins, rotation, position)
@@ -184,12 +184,12 @@ def _check(
             before = max(t - 1, 0)
             longest = 0.0
             for s in range(spheres):
-                way[s] = 0.0
+                travel[s] = 0.0
                 for j in range(joints):
                     turn = trajectories[p, j, t] - trajectories[p, j, before]
-                    way[s] += abs(turn) * robot.lever[s, j]
-                way[s] *= steepness
-                longest = max(longest, way[s])
+                    travel[s] += abs(turn) * robot.lever[s, j]
+                travel[s] *= steepness
+                longest = max(longest, travel[s])
             top = 1
             at[0] = 0.0
             at[1] = 1.0
@@ -230,9 +230,9 @@ def _check(
                         dy = y - measured_at[s, 1]
                         dz = z - measured_at[s, 2]
                         least = measured[s] - steepness * math.sqrt(dx * dx + dy * dy + dz * dz)
-                        # What is by a segment's way farther than the nearest settles the segment
-                        # as it is; there is no need to measure it anew.
-                        if least < nearest + way[s]:
+                        # What is farther than the nearest by the segment's path length settles
+                        # the segment as it is; there is no need to measure it anew.
+                        if least < nearest + travel[s]:
                             least = point_distance(x, y, z, *obstacles)
                             if has_grid:
                                 least = min(least, lookup(values, corner, inv_spacing, x, y, z)[0])
@@ -254,12 +254,12 @@ def _check(
                     fresh = False
                 share = at[top] - at[0]
                 settled = True
-                if t > 0 and share * longest > 2.0 * tolerance and top < _DEPTH + 1:
+                if t > 0 and share * longest > 2.0 * tolerance and top < _MOST_HALVINGS + 1:
                     if clear_of_itself:
                         settled = self_gap[0] + self_gap[top] >= share * longest
                     if settled:
                         for s in range(spheres):
-                            ahead = 0.5 * (gap[0, s] + gap[top, s] - share * way[s])
+                            ahead = 0.5 * (gap[0, s] + gap[top, s] - share * travel[s])
                             if ahead < nearest - tolerance:
                                 settled = False
                                 break
@@ -280,7 +280,7 @@ def check_collisions(
     trajectories: ArrayLike,
     robot: RobotModel,
     obstacles: Sequence[Obstacle] | PackedObstacles,
-    tolerance: float = TOLERANCE,
+    tolerance: float = CLEARANCE_TOLERANCE,
     grid: DistanceGrid | None = None,
 ) -> CollisionCheck:
     """Check whole paths against obstacles and the arm itself.
@@ -294,8 +294,8 @@ def check_collisions(
         obstacles: bodies at rest.
         tolerance: m, by which the clearance may be overestimated; a path is free if its clearance
             is at least this.
-        grid: distance to what else there is, of which nothing better is known; what it says is
-            taken as it is, and outside it the nearest point of its boundary answers.
+        grid: distance to what else there is, of which nothing better is known; it is taken as it
+            is, and outside it the value is that of the nearest boundary point.
 
     Raises:
         ValueError: wrong shape or not finite, or `tolerance` is not positive.

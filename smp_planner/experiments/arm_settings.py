@@ -1,7 +1,7 @@
 """Settings of Stein variational gradient descent side by side, on scenes of the tasks.
 
-Nothing is executed: what is compared are whole sets of particles, as the planners' exact check
-judges them. Particles are *good* if they are collision-free, executable within the joint limits and
+Nothing is executed: what is compared are whole sets of particles, by the planners' exact check.
+Particles are *good* if they are collision-free, executable within the joint limits and
 pass all via-points.
 """
 
@@ -25,9 +25,9 @@ from smp_planner.planners import make_planner
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["COLUMNS", "PRIORS", "VARIANTS", "Cell", "cells_of", "measure_cell"]
+__all__ = ["COLUMNS", "COMPARED_SETTINGS", "PRIOR_WIDTHS", "Cell", "cells_of", "measure_cell"]
 
-VARIANTS: dict[str, dict[str, Any]] = {
+COMPARED_SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "paper": {"inference": "paper"},
     "paper, 4 times the iterations": {"inference": "paper", "iterations": 400},
@@ -39,12 +39,12 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "cyclic annealing": {"inference": "cyclic"},
     "no repulsion": {"inference": "no_repulsion"},
 }
-"""What is compared, by the name in the table; settings of `smp` on top of the task's own.
+"""Compared variants, by the name in the table; settings of `smp` on top of the task's own.
 
 Without repulsion each particle ascends its own gradient: independent restarts."""
 
-PRIORS: dict[str, float] = {"usual": 1.0, "narrow": 0.5}
-"""Factor of the freedom that is added to what the demonstrations teach (`smooth_std`)."""
+PRIOR_WIDTHS: dict[str, float] = {"usual": 1.0, "narrow": 0.5}
+"""Factor of the standard deviation that is added to what the demonstrations teach, `smooth_std`."""
 
 COLUMNS = (
     Column("task", "Task"),
@@ -62,18 +62,18 @@ COLUMNS = (
     Column("diversity", "Diversity, mm", 1),
     Column("seconds", "Planning, s"),
 )
-"""Of the printed table. Similarity, modes and diversity are those of the good particles."""
+"""Columns of the printed table. Similarity, modes and diversity are those of the good particles."""
 
 _REFERENCE_SIZE = 400
 
 
 class Cell(NamedTuple):
-    """One measurement.
+    """Key of one measurement.
 
     Attributes:
         task: its name.
-        prior: one of `PRIORS`.
-        variant: one of `VARIANTS`.
+        prior: one of `PRIOR_WIDTHS`.
+        variant: one of `COMPARED_SETTINGS`.
         difficulty: of the scene.
         seed: of the scene.
     """
@@ -95,7 +95,7 @@ def cells_of(
     """
     return [
         Cell(task, prior, variant, difficulty, seed)
-        for task, seed, prior, variant in product(tasks, seeds, priors, VARIANTS)
+        for task, seed, prior, variant in product(tasks, seeds, priors, COMPARED_SETTINGS)
     ]
 
 
@@ -106,9 +106,9 @@ def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
 
 @lru_cache(maxsize=64)
 def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
-    own: dict[str, Any] = dict(VARIANTS[variant]) | {"retries": 0}
+    own: dict[str, Any] = dict(COMPARED_SETTINGS[variant]) | {"retries": 0}
     usual = make_planner("smp", task).settings["smooth_std"]
-    own["smooth_std"] = usual * PRIORS[prior]
+    own["smooth_std"] = usual * PRIOR_WIDTHS[prior]
     if method == "promp":
         own = {"smooth_std": own["smooth_std"], "particles": _REFERENCE_SIZE}
     return PlannerPolicy.make(method, task, settings=own)
@@ -116,7 +116,7 @@ def _policy(task: str, prior: str, method: str, variant: str) -> PlannerPolicy:
 
 @lru_cache(maxsize=4)
 def _reference(task: str, prior: str, difficulty: str, seed: int) -> FloatArray:
-    """Return draws (R, T, 3) m of the primitive tied to the scene's start and goal."""
+    """Return draws (R, T, 3) m of the primitive conditioned on the scene's start and goal."""
     policy = _policy(task, prior, "promp", "default")
     problem = _problem(policy, task, difficulty, seed)
     (plan,) = policy.planner.plan([problem])

@@ -1,8 +1,8 @@
 """Search of the settings of the paper's baselines on tuning seeds, task by task.
 
 What counts is what Table II counts: the share of the particles that are collision-free, executable
-and end in the goal, judged by the planners' exact check. The physics takes no part. All methods of
-a task have the same freedom (`smooth_std`), so that they start from one prior; it is not searched.
+and end in the goal, by the planners' exact check. The physics takes no part. All methods of a task
+have the same `smooth_std`, so that they start from one prior; it is not searched.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ STROKE_CANDIDATES: tuple[dict[str, Any], ...] = (
     {"via_share": 0.0},
     {"via_share": 0.0, "obstacle_weight": 30.0},
 )
-"""Further ones where a stroke is to be followed."""
+"""Further candidates on tasks with a stroke to follow."""
 
 
 def candidates(task: str, method: str) -> tuple[dict[str, Any], ...]:
@@ -64,7 +64,7 @@ def candidates(task: str, method: str) -> tuple[dict[str, Any], ...]:
 
 
 class Trial(NamedTuple):
-    """What came of one setting in some scenes.
+    """Results of one setting in some scenes.
 
     Attributes:
         solved: scenes with a particle that succeeds.
@@ -107,7 +107,7 @@ def cells_of(
 
 
 def trial(cell: Cell) -> Trial:
-    """Return what one setting of a method comes to."""
+    """Return the results of one setting of a method."""
     task, method, settings, difficulty, seeds = cell
     torch.set_num_threads(1)
     env = gymnasium.make(environment_id(task), difficulty=difficulty)

@@ -1,4 +1,4 @@
-"""Table I: how many ends stay in a region, with and without the smooth box prior.
+"""Table I: numbers of ends in a region, with and without the smooth box prior.
 
 The paper gives neither region nor scene. The reading taken: obstacles move all of a path, its ends
 too, which are not conditioned on. The region is fixed beforehand: the box of two standard
@@ -31,15 +31,15 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import SMP, AnyOf, Box
 
-__all__ = ["COLUMNS", "PRIORS", "TAIL", "box_row", "box_rows", "regions"]
+__all__ = ["BOX_PRIORS", "COLUMNS", "TAIL", "box_row", "box_rows", "regions"]
 
 TAIL = 0.25
 """mm, σ of Eq. (14)."""
 
-PRIORS: Mapping[str, bool | None] = MappingProxyType(
+BOX_PRIORS: Mapping[str, bool | None] = MappingProxyType(
     {"without": None, "with, 2 σ²": False, "with, √2 σ² as printed": True}
 )
-"""Whether Eq. (14) is taken as printed, by name; None is without the smooth box prior."""
+"""Readings of Eq. (14), by name: as printed or not; None is without the smooth box prior."""
 
 _PAPER = {
     ("Sshape", False): "40/42",
@@ -57,7 +57,7 @@ COLUMNS = (
     Column("starts", "Starts in region", 1, extremes=True),
     Column("free", "Free", 1, extremes=True),
 )
-"""Of the printed table of `box_row`s."""
+"""Columns of the printed table of `box_row`s."""
 
 _STDS = 2.0
 
@@ -84,7 +84,7 @@ def regions(primitive: SMP, phase: Literal[0, 1]) -> tuple[Box, ...]:
 
 
 def box_rows(particles: int, repetitions: int) -> list[Row]:
-    """Return the rows of Table I: each of the `PRIORS` in the scenes of Fig. 1 and Fig. 2b.
+    """Return the rows of Table I: each of the `BOX_PRIORS` in the scenes of Fig. 1 and Fig. 2b.
 
     Args:
         particles: P.
@@ -94,17 +94,19 @@ def box_rows(particles: int, repetitions: int) -> list[Row]:
     for scene in (FIGURE_1, FIGURE_2B):
         primitive, method = learn(scene.shape), Method(adaptation("smp"), settings())
         for seed in track(range(repetitions), scene.shape):
-            rows += [box_row(prior, primitive, scene, method, particles, seed) for prior in PRIORS]
+            rows += [
+                box_row(prior, primitive, scene, method, particles, seed) for prior in BOX_PRIORS
+            ]
     return rows
 
 
 def box_row(
     prior: str, primitive: SMP, scene: LasaScene, method: Method, particles: int, seed: int
 ) -> dict[str, str | float | None]:
-    """Return how many starts and ends lie in their regions after an adaptation.
+    """Return the numbers of starts and ends in their regions after an adaptation.
 
     Args:
-        prior: one of `PRIORS`.
+        prior: one of `BOX_PRIORS`.
         primitive: of the scene's shape.
         scene: obstacles only count; neither start nor goal is conditioned on.
         method: how to adapt.
@@ -112,7 +114,7 @@ def box_row(
         seed: of the plan.
     """
     first, last = regions(primitive, 0), regions(primitive, 1)
-    paper_scale = PRIORS[prior]
+    paper_scale = BOX_PRIORS[prior]
     start, goal = None, None
     if paper_scale is not None:
         start, goal = (AnyOf([_drawn_in(b, paper_scale) for b in boxes]) for boxes in (first, last))
@@ -141,6 +143,6 @@ def _drawn_in(region: Box, paper_scale: bool) -> Box:
 
 
 def _inside(points: FloatArray, boxes: tuple[Box, ...]) -> float:
-    """Return how many of points (P, 2) lie in one of the boxes."""
+    """Return the number of points (P, 2) in one of the boxes."""
     inside = [((b.lower <= points) & (points <= b.upper)).all(axis=-1) for b in boxes]
     return float(np.any(inside, axis=0).sum())

@@ -1,4 +1,4 @@
-"""Ways to adapt side by side: how many paths are free, how many ways they take, how alike they are.
+"""Comparison of adaptations: free paths, their homotopy classes, similarity to the primitive.
 
 A *reference* is a large draw of the unadapted primitive, which similarity is measured against.
 """
@@ -43,7 +43,7 @@ _REFERENCE_SEED = 2**40
 COLUMNS = (
     Column("method", "Method"),
     Column("free", "Free", 1, extremes=True),
-    Column("classes", "Ways", 1, extremes=True),
+    Column("classes", "Classes", 1, extremes=True),
     Column("entropy", "Entropy, nats"),
     Column("wasserstein", "W1, mm"),
     Column("frechet", "Fréchet, mm"),
@@ -54,9 +54,9 @@ COLUMNS = (
     Column("length", "Length, mm", 1),
     Column("smoothness", "Smoothness", 1),
 )
-"""Of the printed table of `measure`'s rows."""
+"""Columns of the printed table of `measure`'s rows."""
 
-_TITLES = {
+_METHOD_TITLES = {
     "promp": "ProMP",
     "smp": "SMP",
     "promp_diff": "ProMPs-Diff",
@@ -100,7 +100,7 @@ def compare(
             measured = measure(plan.trajectories, primitive, scene, reference)
             rows.append({"method": name, "seed": seed, **measured})
             if seed == 0:
-                panels[f"{_TITLES[name]}: {measured['free']:.0f} of {particles} free"] = (
+                panels[f"{_METHOD_TITLES[name]}: {measured['free']:.0f} of {particles} free"] = (
                     plan.trajectories
                 )
     draw_side_by_side(panels, primitive.demonstrations, scene, figure)
@@ -136,10 +136,10 @@ def reference_of(primitive: SMP) -> FloatArray:
 def measure(
     paths: FloatArray, primitive: SMP, scene: LasaScene, reference: FloatArray
 ) -> dict[str, float | None]:
-    """Return what is measured of a set of paths: a row without its method and repetition.
+    """Return the measures of a set of paths: a row without its method and repetition.
 
-    Ways are told apart by the winding numbers of the free paths, and counted; `entropy` is that of
-    their shares. Measures of free paths are None where none is free.
+    Homotopy classes are told apart by the winding numbers of the free paths, and counted; `entropy`
+    is that of their shares. Measures of free paths are None where none is free.
 
     Args:
         paths: (P, T, 2) mm.
@@ -148,15 +148,15 @@ def measure(
         reference: of `reference_of`.
     """
     free = paths[clearances(paths, scene.obstacles) > 0.0]
-    ways = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
-    alike = similarity(paths, reference)
-    alike_free = alike if len(free) == len(paths) else similarity(free, reference)
+    modes = group(classes(free, scene.obstacles, common_ends(primitive))) if len(free) else None
+    of_all = similarity(paths, reference)
+    of_free = of_all if len(free) == len(paths) else similarity(free, reference)
     return {
         "free": float(len(free)),
-        "classes": float(ways.count) if ways else 0.0,
-        "entropy": ways.entropy if ways else None,
-        **alike,
-        **{f"{name}_free": value for name, value in alike_free.items()},
+        "classes": float(modes.count) if modes else 0.0,
+        "entropy": modes.entropy if modes else None,
+        **of_all,
+        **{f"{name}_free": value for name, value in of_free.items()},
         "length": float(path_lengths(paths).mean()),
         "smoothness": float(log_dimensionless_jerk(paths).mean()),
     }

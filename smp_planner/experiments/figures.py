@@ -39,7 +39,7 @@ def draw_side_by_side(
         file: to write, its suffix says in which format; its folder is made if there is none.
 
     Raises:
-        ValueError: as many scenes as panels are wanted.
+        ValueError: scenes and panels are not equally many.
     """
     each = [scenes] * len(panels) if isinstance(scenes, LasaScene) else list(scenes)
     if len(each) != len(panels):
@@ -73,8 +73,8 @@ def _draw(
         ax.plot(*path.T, color=_DEMONSTRATION, linewidth=0.7, zorder=2)
     for obstacle in scene.obstacles:
         ax.add_patch(Disc(obstacle.center, obstacle.radius, color="black", zorder=3))
-    for wanted in scene.via_points:
-        for option in wanted.options if isinstance(wanted, AnyOf) else (wanted,):
+    for via in scene.via_points:
+        for option in via.options if isinstance(via, AnyOf) else (via,):
             assert isinstance(option, ViaPoint)
             ax.plot(*option.position, "k*", markersize=9, zorder=4)
     if _ends_anew(scene, demonstrations):

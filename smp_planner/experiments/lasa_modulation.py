@@ -1,4 +1,4 @@
-"""New ends and via-points, Fig. 2: how many paths reach what they are modulated to."""
+"""New ends and via-points, Fig. 2: numbers of paths that reach them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,16 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import AnyOf, Plan, ViaPoint
 
-__all__ = ["COLUMNS", "TOLERANCE", "end_errors", "modulate", "modulation_row", "passed_via_points"]
+__all__ = [
+    "COLUMNS",
+    "POINT_TOLERANCE",
+    "end_errors",
+    "modulate",
+    "modulation_row",
+    "passed_via_points",
+]
 
-TOLERANCE = 1.0
+POINT_TOLERANCE = 1.0
 """mm, within which a via-point counts as passed and an end as reached."""
 
 COLUMNS = (
@@ -32,7 +39,7 @@ COLUMNS = (
     Column("end_error", "Mean end error, mm"),
     Column("worst_end_error", "Greatest end error, mm"),
 )
-"""Of the printed table of `modulation_row`s."""
+"""Columns of the printed table of `modulation_row`s."""
 
 
 def modulate(
@@ -81,7 +88,7 @@ def modulate(
 def modulation_row(
     name: str, method: str, scene: LasaScene, plan: Plan, seed: int
 ) -> dict[str, str | float | None]:
-    """Return what of a plan's paths is as wanted.
+    """Return the numbers of a plan's paths that meet each of the constraints.
 
     Args:
         name: of the scene.
@@ -94,7 +101,7 @@ def modulation_row(
     free = clearances(paths, scene.obstacles) > 0.0
     passed = passed_via_points(paths, scene)
     error = end_errors(paths, scene)
-    reached = error <= TOLERANCE
+    reached = error <= POINT_TOLERANCE
     return {
         "scene": name,
         "method": method,
@@ -109,20 +116,20 @@ def modulation_row(
 
 
 def passed_via_points(paths: FloatArray, scene: LasaScene) -> BoolArray:
-    """Return whether (P,) paths (P, T, 2) pass all via-points within `TOLERANCE` at their phases.
+    """Return whether (P,) paths (P, T, 2) pass all via-points, within `POINT_TOLERANCE`, in time.
 
     Of several to choose from, one is enough.
     """
     passed = np.ones(len(paths), np.bool_)
     at = np.linspace(0.0, 1.0, paths.shape[1])
-    for wanted in scene.via_points:
-        options = wanted.options if isinstance(wanted, AnyOf) else (wanted,)
+    for via in scene.via_points:
+        options = via.options if isinstance(via, AnyOf) else (via,)
         distances = []
         for option in options:
             assert isinstance(option, ViaPoint)
             points = [[np.interp(option.phase, at, x) for x in path.T] for path in paths]
             distances.append(np.linalg.norm(np.array(points) - option.position, axis=-1))
-        passed &= np.min(distances, axis=0) <= TOLERANCE
+        passed &= np.min(distances, axis=0) <= POINT_TOLERANCE
     return passed
 
 

@@ -1,4 +1,4 @@
-"""The scenes of the LASA experiments, Sec. V-A, and what each method is set to in them.
+"""The scenes of the LASA experiments, Sec. V-A, and the settings of each method in them.
 
 The paper does not state where its obstacles, via-points and new ends lie. Those here are ours, in
 the millimetres of the data.
@@ -20,8 +20,8 @@ __all__ = [
     "FIGURE_1",
     "FIGURE_2A",
     "FIGURE_2B",
-    "METHODS",
-    "SMOOTH_STD",
+    "LASA_METHODS",
+    "LASA_SMOOTH_STD",
     "TUNING_SCENES",
     "LasaScene",
     "Method",
@@ -31,8 +31,8 @@ __all__ = [
     "settings",
 ]
 
-SMOOTH_STD = 3.0
-"""mm, freedom added to what the demonstrations teach, a seventeenth of the S; see `ProMP.fit`."""
+LASA_SMOOTH_STD = 3.0
+"""mm, deviation added to what the demonstrations teach, 1/17 of the S; see `ProMP.fit`."""
 
 _SAMPLES = 1000
 """T of adapted paths: between samples, a path leaves the straight line by microns only."""
@@ -40,7 +40,7 @@ _SAMPLES = 1000
 
 @dataclass(frozen=True)
 class LasaScene:
-    """What a shape is adapted to; lengths in mm.
+    """Scene to which a shape is adapted; lengths in mm.
 
     Attributes:
         shape: of `lasa.demonstrations`.
@@ -57,7 +57,7 @@ class LasaScene:
 
 @dataclass(frozen=True)
 class Method:
-    """An adaptation and what it adapts to.
+    """An adaptation and the settings of its costs.
 
     Attributes:
         adaptation: with its settings.
@@ -71,7 +71,7 @@ class Method:
 FIGURE_1 = LasaScene(
     "Sshape", (Circle((-2.0, 33.0), 3.0), Circle((38.0, 10.0), 3.0)), goal=(0.0, 0.0)
 )
-"""Two obstacles across the S, one in each of its bends: there are four ways to pass them."""
+"""Two obstacles across the S, one in each of its bends: paths past them are of four classes."""
 
 _NEW_END = (10.0, -12.0)
 
@@ -102,7 +102,7 @@ TUNING_SCENES = (
     LasaScene("Sshape", (Circle((-1.0, 35.5), 3.0), Circle((36.0, 7.0), 2.5)), goal=(0.0, 0.0)),
     LasaScene("Sshape", (Circle((8.0, 24.0), 2.5), Circle((37.0, 15.0), 3.5)), goal=(0.0, 0.0)),
 )
-"""Other obstacles across the S, on which `METHODS` were tuned."""
+"""Other obstacles across the S, on which `LASA_METHODS` were tuned."""
 
 
 def settings(
@@ -120,7 +120,7 @@ def settings(
     )
 
 
-METHODS: Mapping[str, Method] = MappingProxyType(
+LASA_METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "promp": Method(adaptation("promp"), settings()),
         "smp": Method(adaptation("smp"), settings(weight=1.0)),
@@ -137,7 +137,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 """Each as it did best on `TUNING_SCENES`, see `smp_planner.experiments.tuning`."""
 
 
-def learn(shape: str, smooth_std: float = SMOOTH_STD, modes: int | None = None) -> SMP:
+def learn(shape: str, smooth_std: float = LASA_SMOOTH_STD, modes: int | None = None) -> SMP:
     """Return the primitive of a shape.
 
     Args:
@@ -203,8 +203,8 @@ def described(scene: LasaScene) -> str:
     """Return a scene in words."""
     circles = [f"({o.center[0]:g}, {o.center[1]:g}) radius {o.radius:g}" for o in scene.obstacles]
     text = f"{scene.shape}, obstacles {', '.join(circles) or 'none'}"
-    for wanted in scene.via_points:
-        options = wanted.options if isinstance(wanted, AnyOf) else (wanted,)
+    for via in scene.via_points:
+        options = via.options if isinstance(via, AnyOf) else (via,)
         places = [
             f"({o.position[0]:g}, {o.position[1]:g}) at phase {o.phase:g}"
             for o in options

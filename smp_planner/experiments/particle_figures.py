@@ -23,7 +23,7 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import PAD_DEPTH, Goal, ManipulatedObject, Obstacle, Scene
 from smp_gym.tasks.double_sided_placement.rules import NOMINAL_PADS, START_CONFIGURATION
 from smp_planner.benchmark.episode_pictures import (
-    Way,
+    SceneLine,
     carried_point,
     object_paths,
     paint_scene,
@@ -48,23 +48,23 @@ FRAME_SIZE = (640, 480)
 """Width and height of the pictures of an episode, pixels."""
 
 SHIFT = 0.15
-"""By how much, m, Fig. 4 moves the left end towards the middle. The right one is lifted to
+"""Shift, m, of the left end towards the middle in Fig. 4. The right one is lifted to
 `PAD_DEPTH`, the highest that a pad can stand: by 11.5 cm, where the paper has 15 cm."""
 
 _START_SHIFT = (-0.06, 0.0, 0.06)
-"""By how much, m, the start of Fig. 4 lies from where the demonstrations begin."""
+"""Offset, m, of the start of Fig. 4 from that of the demonstrations."""
 
 _FREE, _COLLIDING, _FAINT, _DARK = "#7fa3ee", "#ea8585", "#b9c6de", "#4b5563"
 _MODES = ("#f59e0b", "#059669")
 _BEFORE: dict[str, Any] = {"iterations": 1, "step_size": 1e-12, "retries": 0}
-_TITLES = {
+_TASK_TITLES = {
     "DrawS": "Draw-S",
     "Placement": "Placement",
     "PushLiftBox": "Push-Lift-Box",
     "DoubleSidedPlacement": "Placement on double sides",
 }
 _STILLS = 5
-_LEAST_SHARE = 0.1
+_LEAST_MODE_SHARE = 0.1
 """Share of the good particles that each of two modes must hold."""
 
 _FAR_CAMERA = {"distance": 1.7, "target": (0.32, 0.0, 0.3)}
@@ -79,11 +79,11 @@ def _plan(policy: PlannerPolicy, env: gym.Env[Any, Any], scene: Scene) -> Plan:
     return policy.plan(observation)
 
 
-def _ways(scene: Scene, plan: Plan) -> list[Way]:
+def _lines(scene: Scene, plan: Plan) -> list[SceneLine]:
     """Return a line for each particle: successful, or not."""
     paths = object_paths(plan.trajectories, carried_point(scene))
     return [
-        Way(path, _FREE if done else _COLLIDING)
+        SceneLine(path, _FREE if done else _COLLIDING)
         for path, done in zip(paths, plan.good, strict=True)
     ]
 
@@ -108,15 +108,15 @@ def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
             for settings in (_BEFORE, {})
         ]
         env.close()
-        ways = [_ways(scene, plan) for plan in plans]
+        lines = [_lines(scene, plan) for plan in plans]
         left = 0.03 + column * width
         both = [figure.add_axes((left, bottom, width - 0.006, 0.42)) for bottom in (0.5, 0.035)]
         for row, (axes, plan) in enumerate(zip(both, plans, strict=True)):
-            paint_scene(axes, scene, ways[row], within=ways[1 - row])
+            paint_scene(axes, scene, lines[row], within=lines[1 - row])
             count, done = len(plan.good), int(plan.good.sum())
             axes.set_title(f"{done} of {count} succeed", fontsize=11, color=_DARK, y=-0.05)
         _share_limits(both)
-        name = _TITLES[scene.task]
+        name = _TASK_TITLES[scene.task]
         figure.text(left + width / 2, 0.955, name, fontsize=16, weight="bold", ha="center")
     for height, name in ((0.71, "before adaptation"), (0.245, "after adaptation")):
         figure.text(0.01, height, name, fontsize=13, rotation=90, va="center")
@@ -133,14 +133,14 @@ def _share_limits(pictures: Sequence[Any]) -> None:
 
 @dataclass(frozen=True)
 class TwoModes:
-    """Two ways through a scene, over an obstacle and beside it.
+    """Two modes of a plan, over an obstacle and beside it.
 
     Attributes:
         scene: what is planned in.
         plan: of all particles.
         over: the particle that passes over.
         beside: the particle that passes beside.
-        distance: m, root mean squared over time, between the two ways of the carried point.
+        distance: m, root mean squared over time, between the two paths of the carried point.
     """
 
     scene: Scene
@@ -153,7 +153,7 @@ class TwoModes:
 def _over_and_beside(scene: Scene, plan: Plan) -> list[TwoModes]:
     """Return all pairs of best good particles of two modes, over and beside some obstacle."""
     best = plan.best_of_modes
-    best = best[plan.good[best] & (plan.modes.shares >= _LEAST_SHARE)]
+    best = best[plan.good[best] & (plan.modes.shares >= _LEAST_MODE_SHARE)]
     if plan.signatures is None or len(best) == 0:
         return []
     levels = plan.signatures[best, 1:].reshape(len(best), -1, 2)[..., 1]
@@ -247,10 +247,10 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
     done = []
     axes = figure.add_axes((0.0, 0.02, 0.245, 0.9))
     paths = object_paths(pair.plan.trajectories, carried_point(pair.scene))
-    ways = [Way(path, _FAINT) for path in paths[pair.plan.good]]
+    lines = [SceneLine(path, _FAINT) for path in paths[pair.plan.good]]
     for particle, color in zip((pair.over, pair.beside), _MODES, strict=True):
-        ways.append(Way(paths[particle], color, 3.2, rimmed=True))
-    paint_scene(axes, pair.scene, ways)
+        lines.append(SceneLine(paths[particle], color, 3.2, rimmed=True))
+    paint_scene(axes, pair.scene, lines)
     rows = (("over", pair.over, videos[0]), ("beside", pair.beside, videos[1]))
     for row, (name, particle, video) in enumerate(rows):
         size = 0.75 / _STILLS
@@ -261,13 +261,13 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
         done.append(_film(env, pair.scene, policy.track(pair.plan, particle), video, cells))
         figure.text(0.252, 0.94 - 0.47 * row, name, fontsize=13, weight="bold", color=_MODES[row])
     env.close()
-    figure.text(0.01, 0.945, _TITLES[pair.scene.task], fontsize=15, weight="bold")
+    figure.text(0.01, 0.945, _TASK_TITLES[pair.scene.task], fontsize=15, weight="bold")
     figure.savefig(stills)
     return done[0], done[1]
 
 
 def modulated_scene() -> Scene:
-    """Return the scene of Fig. 4: a new start, both ends moved, obstacles on both ways.
+    """Return the scene of Fig. 4: a new start, both ends moved, obstacles on both routes.
 
     The left pad stands nearer to the middle, by `SHIFT`, the right one as high as a pad can.
     """
@@ -321,7 +321,7 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
     FigureCanvasAgg(figure)
     paths = object_paths(plan.trajectories, carried_point(scene))
     shipped = object_paths(Demonstrations.load(scene.task).configurations, carried_point(scene))
-    taught = [Way(path, _DARK, 1.1, dashed=True) for path in shipped]
+    taught = [SceneLine(path, _DARK, 1.1, dashed=True) for path in shipped]
     bare = scene.model_copy(update={"obstacles": ()})
     paint_scene(figure.add_axes((0.0, 0.47, 0.5, 0.46)), bare, taught, _FRONT_AZIMUTH)
     done, best = [], []
@@ -339,9 +339,11 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
             0.008, 0.443 - 0.225 * side, name, fontsize=13, weight="bold", color=_MODES[side]
         )
     env.close()
-    ways = _ways(scene, plan)
-    chosen = [Way(paths[p], color, 3.4, rimmed=True) for p, color in zip(best, _MODES, strict=True)]
-    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, [*ways, *chosen], _FRONT_AZIMUTH)
+    lines = _lines(scene, plan)
+    lines += [
+        SceneLine(paths[p], color, 3.4, rimmed=True) for p, color in zip(best, _MODES, strict=True)
+    ]
+    paint_scene(figure.add_axes((0.5, 0.47, 0.5, 0.46)), scene, lines, _FRONT_AZIMUTH)
     figure.text(0.02, 0.955, "demonstrations, new start and new ends", fontsize=15, weight="bold")
     figure.text(0.52, 0.955, "adapted", fontsize=15, weight="bold")
     figure.legend(

@@ -1,4 +1,4 @@
-"""What is measured of a set of paths in the plane: clearance, ways round obstacles, similarity."""
+"""Measures of a set of paths in the plane: clearance, homotopy classes, similarity."""
 
 from __future__ import annotations
 

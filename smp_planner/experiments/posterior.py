@@ -1,8 +1,8 @@
-"""The exact posterior p(w|O) of a scene in the plane, and how near to it sets of particles come.
+"""The exact posterior p(w|O) of a scene in the plane, and the distance of particle sets to it.
 
 Particles of SVGD, of one Gaussian, or on their own may all be free and yet be no draw from the
-posterior: ways may have other weights in them, and paths of one way too little spread. The measure
-is `inference.smc`, which is slow and right.
+posterior: homotopy classes may have other weights in them, and paths of one class too little
+spread. The measure is `inference.smc`, which is slow and right.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Reference:
     signatures: IntArray
 
     @cached_property
-    def ways(self) -> IntArray:
-        """(C, M) signatures of all ways in it, the likeliest first."""
+    def classes(self) -> IntArray:
+        """(C, M) signatures of all homotopy classes in it, the likeliest first."""
         return group(self.signatures).signatures
 
     @cached_property
@@ -109,29 +109,29 @@ def exact_draws(
 
 
 def within_spread(paths: FloatArray, signatures: IntArray) -> float | None:
-    """Return how far paths of one way are from their mean, root mean square; None if each is alone.
+    """Return the root mean square distance of paths from their class's mean; None if each is alone.
 
     Args:
         paths: (P, T, 2) mm.
-        signatures: (P, M), that tell ways apart.
+        signatures: (P, M), that tell homotopy classes apart.
     """
-    squares, freedom = 0.0, 0
+    squares, degrees_of_freedom = 0.0, 0
     for members in group(signatures).members:
         own = paths[members]
         squares += float(np.square(own - own.mean(axis=0)).sum(axis=-1).mean(axis=-1).sum())
-        freedom += len(own) - 1
-    return math.sqrt(squares / freedom) if freedom else None
+        degrees_of_freedom += len(own) - 1
+    return math.sqrt(squares / degrees_of_freedom) if degrees_of_freedom else None
 
 
 def posterior_row(
     name: str, paths: FloatArray, signatures: IntArray, reference: Reference, scene: LasaScene
 ) -> dict[str, str | float | None]:
-    """Return how near a set of particles comes to the exact posterior.
+    """Return measures of a set of particles against the exact posterior.
 
-    `variation` is the total variation distance of the ways' weights; `wasserstein_exact` the
+    `variation` is the total variation distance of the classes' weights; `wasserstein_exact` the
     distance to the posterior's paths; `diversity` the mean distance of two paths, and `spread`
-    `within_spread`, both as shares of what they are in the posterior; `way_1` and so on are weights
-    of the posterior's ways, the likeliest first.
+    `within_spread`, both as shares of what they are in the posterior; `class_1` and so on are
+    weights of the posterior's classes, the likeliest first.
 
     Args:
         name: of the setting.
@@ -141,7 +141,7 @@ def posterior_row(
         scene: of it.
     """
     alone, whole = within_spread(resample(paths), signatures), reference.spread
-    ways = [float((signatures == way).all(axis=-1).mean()) for way in reference.ways]
+    shares = [float((signatures == of_one).all(axis=-1).mean()) for of_one in reference.classes]
     return {
         "setting": name,
         "free": float((clearances(paths, scene.obstacles) > 0.0).mean()),
@@ -150,7 +150,7 @@ def posterior_row(
         "wasserstein_exact": wasserstein(resample(paths), reference.compared),
         "diversity": diversity(resample(paths)) / reference.diversity,
         "spread": None if alone is None or whole is None else alone / whole,
-        **{f"way_{number}": share for number, share in enumerate(ways, start=1)},
+        **{f"class_{number}": share for number, share in enumerate(shares, start=1)},
     }
 
 
@@ -159,16 +159,16 @@ def columns(reference: Reference, most: int = 4) -> tuple[Column, ...]:
 
     Args:
         reference: the posterior.
-        most: ways whose weights are printed.
+        most: classes whose weights are printed.
     """
-    ways = range(1, min(most, len(reference.ways)) + 1)
+    numbers = range(1, min(most, len(reference.classes)) + 1)
     return (
         Column("setting", "Setting"),
         Column("free", "Free, share", 3),
-        Column("classes", "Ways", 1, extremes=True),
+        Column("classes", "Classes", 1, extremes=True),
         Column("variation", "Total variation of weights"),
         Column("wasserstein_exact", "W1 to posterior, mm"),
         Column("diversity", "Diversity, share"),
-        Column("spread", "Spread within a way, share"),
-        *(Column(f"way_{number}", f"Weight of way {number}") for number in ways),
+        Column("spread", "Spread within a class, share"),
+        *(Column(f"class_{number}", f"Weight of class {number}") for number in numbers),
     )

@@ -1,4 +1,4 @@
-"""What settings of SVGD are worth on the S: success, similarity, and truth to the posterior."""
+"""Comparison of SVGD settings on the S: success, similarity, and truth to the posterior."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted, common_ends, reference_of
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
-    SMOOTH_STD,
+    LASA_SMOOTH_STD,
     LasaScene,
     Method,
     learn,
@@ -42,12 +42,12 @@ POSTERIOR = "posterior (SMC)"
 EXACT = "draws of it"
 """Setting in the rows of as many draws from the posterior as there are particles."""
 
-_SETTINGS = settings().model_copy(update={"samples": 200})
+_ADAPT_SETTINGS = settings().model_copy(update={"samples": 200})
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A scene, and how wide the prior is.
+    """A scene, and the added deviation of the prior.
 
     Attributes:
         scene: of one shape with obstacles.
@@ -55,7 +55,7 @@ class Variant:
     """
 
     scene: LasaScene
-    smooth_std: float = SMOOTH_STD
+    smooth_std: float = LASA_SMOOTH_STD
 
 
 def _scene(*circles: tuple[float, float, float]) -> LasaScene:
@@ -67,18 +67,18 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
         "fig1": Variant(FIGURE_1),
         "narrow_prior": Variant(FIGURE_1, smooth_std=1.0),
-        "unequal_ways": Variant(_scene((0.0, 33.0, 3.0), (36.0, 10.0, 3.0))),
-        "many_ways": Variant(
+        "unequal_classes": Variant(_scene((0.0, 33.0, 3.0), (36.0, 10.0, 3.0))),
+        "many_classes": Variant(
             _scene((14.0, 45.0, 2.5), (-2.0, 33.0, 2.5), (20.0, 21.0, 2.5), (38.0, 10.0, 2.5))
         ),
     }
 )
-"""By name: Fig. 1; with a third of the freedom; with one way nearly free; with sixteen ways."""
+"""By name: Fig. 1; with a third of the added deviation; one class nearly free; sixteen classes."""
 
 
 @dataclass(frozen=True)
 class Ground:
-    """What all settings are measured against in a variant.
+    """Reference of all settings in a variant.
 
     Attributes:
         variant: of it.
@@ -105,7 +105,7 @@ class Ground:
         """
         primitive = learn(variant.scene.shape, variant.smooth_std)
         drawn = tuple(
-            exact_draws(primitive, variant.scene, _SETTINGS, np.random.default_rng(run), smc)
+            exact_draws(primitive, variant.scene, _ADAPT_SETTINGS, np.random.default_rng(run), smc)
             for run in range(runs)
         )
         paths = np.concatenate(drawn)
@@ -126,7 +126,7 @@ class Ground:
             every = len(self.posterior.paths)
             paths = self.posterior.paths[rng.choice(every, particles, replace=False)]
         else:
-            method = Method(adaptation("smp", inference=setting), _SETTINGS)
+            method = Method(adaptation("smp", inference=setting), _ADAPT_SETTINGS)
             paths = adapted(
                 self.primitive, self.variant.scene, method, particles, seed
             ).trajectories
@@ -165,10 +165,10 @@ def settings_rows(
 
 def settings_columns(ground: Ground) -> tuple[Column, ...]:
     """Return the columns of the printed table of a ground's rows."""
-    setting, free, ways, *others = columns(ground.posterior)
-    alike = (
+    setting, free, count, *others = columns(ground.posterior)
+    similar = (
         Column("wasserstein", "W1, mm"),
         Column("frechet", "Fréchet, mm"),
         Column("mmd", "MMD", 3),
     )
-    return (setting, free, ways, *alike, *others)
+    return (setting, free, count, *similar, *others)

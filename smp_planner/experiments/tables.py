@@ -29,7 +29,7 @@ Summary = Mapping[str, "str | Spread"]
 
 @dataclass(frozen=True)
 class Spread:
-    """What repeated measurements of one quantity amount to; None where there are none.
+    """Summary of repeated measurements of one quantity; None where there are none.
 
     Attributes:
         mean: arithmetic mean.

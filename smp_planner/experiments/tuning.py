@@ -1,7 +1,7 @@
-"""What each method is set to: the settings with the most free paths on scenes of their own.
+"""Tuning of each method: the settings with the most free paths on scenes of their own.
 
-Of the settings whose count of free paths is within `CLOSE` of the highest, those are taken whose
-paths are nearest to the unadapted primitive, by the Wasserstein distance.
+Of the settings whose count of free paths is within `COUNT_TOLERANCE` of the highest, those are
+taken whose paths are nearest to the unadapted primitive, by the Wasserstein distance.
 """
 
 from __future__ import annotations
@@ -27,13 +27,21 @@ from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row, Spread
 from smp_planner.library.smp import SMP
 
-__all__ = ["CANDIDATES", "CLOSE", "COLUMNS", "FIRST_SEED", "best", "tuning_row", "tuning_rows"]
+__all__ = [
+    "CANDIDATES",
+    "COLUMNS",
+    "COUNT_TOLERANCE",
+    "FIRST_TUNING_SEED",
+    "best",
+    "tuning_row",
+    "tuning_rows",
+]
 
-CLOSE = 0.5
+COUNT_TOLERANCE = 0.5
 """Free paths, out of those of a plan, by which means are taken for equal."""
 
-FIRST_SEED = 1000
-"""Of tuning; evaluations take seeds from 0."""
+FIRST_TUNING_SEED = 1000
+"""First seed of tuning; evaluations take seeds from 0."""
 
 COLUMNS = (
     Column("method", "Method"),
@@ -41,7 +49,7 @@ COLUMNS = (
     Column("free", "Free", 1, extremes=True),
     Column("wasserstein", "W1, mm"),
 )
-"""Of the printed table of `tuning_row`s."""
+"""Columns of the printed table of `tuning_row`s."""
 
 _EDGES = ((0.05, 0.01), (0.1, 0.01))
 
@@ -78,16 +86,16 @@ CANDIDATES: Mapping[str, tuple[Method, ...]] = {
         )
     ),
 }
-"""What is tried, by method."""
+"""Candidate settings, by method."""
 
 
 def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:
-    """Return how each of a method's `CANDIDATES` does on the tuning scenes.
+    """Return the results of each of a method's `CANDIDATES` on the tuning scenes.
 
     Args:
         name: of the method.
         particles: P.
-        repetitions: in each scene, with seeds from `FIRST_SEED`.
+        repetitions: in each scene, with seeds from `FIRST_TUNING_SEED`.
     """
     primitive = learn(TUNING_SCENES[0].shape)
     reference = reference_of(primitive)
@@ -95,7 +103,7 @@ def tuning_rows(name: str, particles: int, repetitions: int) -> list[Row]:
         tuning_row(name, index, primitive, scene, reference, particles, seed)
         for index in track(range(len(CANDIDATES[name])), name)
         for scene in TUNING_SCENES
-        for seed in range(FIRST_SEED, FIRST_SEED + repetitions)
+        for seed in range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + repetitions)
     ]
 
 
@@ -108,7 +116,7 @@ def tuning_row(
     particles: int,
     seed: int,
 ) -> dict[str, str | float | None]:
-    """Return how one of the `CANDIDATES` does in a scene.
+    """Return the result of one of the `CANDIDATES` in a scene.
 
     Args:
         name: of the method.
@@ -147,7 +155,7 @@ def best(summaries: Sequence[Mapping[str, str | Spread]]) -> int:
     """
     free = np.array([_mean(summary["free"]) for summary in summaries])
     distance = np.array([_mean(summary["wasserstein"]) for summary in summaries])
-    distance[free < free.max() - CLOSE] = np.inf
+    distance[free < free.max() - COUNT_TOLERANCE] = np.inf
     return int(distance.argmin())
 
 

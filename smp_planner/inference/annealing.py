@@ -8,10 +8,10 @@ from collections.abc import Callable
 __all__ = ["Schedule", "check_steps", "cyclic_annealing", "linear_decay", "tanh_annealing"]
 
 Schedule = Callable[[int, int, float], float]
-"""From iteration, iterations and the fraction of them that is annealed to a factor in (0, 1]."""
+"""Map from iteration, iterations and the fraction that is annealed to a factor in (0, 1]."""
 
 _TANH_RATE = 1.3
-"""How far the tanh is followed; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""
+"""Argument at which the tanh ends; D'Angelo & Fortuin (2021), Annealed SVGD, Sec. 4."""
 
 
 def _check(iteration: int, iterations: int, fraction: float = 1.0) -> None:
@@ -25,7 +25,7 @@ def tanh_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> fl
     """Return the factor of the annealed term: it rises as a tanh and is 1 from `fraction` on.
 
     The hyperbolic schedule of D'Angelo & Fortuin (2021), scaled so that it arrives at 1, where
-    theirs ends at tanh 1.3 = 0.86: the last iterations shall have the true posterior as target.
+    theirs ends at tanh 1.3 = 0.86: the last iterations have the true posterior as target.
 
     Args:
         iteration: 0 .. iterations - 1.
@@ -48,8 +48,8 @@ def cyclic_annealing(
 ) -> float:
     """Return the factor of the annealed term: it rises to 1 in cycles and is 1 from `fraction` on.
 
-    The cyclical schedule of D'Angelo & Fortuin (2021) with their exponent 1. Particles are freed
-    from where they settled at the start of each cycle; here the cycles end before the run does, so
+    The cyclical schedule of D'Angelo & Fortuin (2021) with their exponent 1. Particles leave
+    where they settled at the start of each cycle; here the cycles end before the run does, so
     that the last iterations have the true posterior as target.
 
     Args:

@@ -23,7 +23,7 @@ __all__ = ["GaussianState", "GaussianVISettings", "init_gaussian", "step_gaussia
 
 @dataclass(frozen=True)
 class GaussianVISettings:
-    """How the Gaussian is moved.
+    """Settings of Gaussian variational inference.
 
     Attributes:
         optimizer: turns the direction of descent into a change.
@@ -45,7 +45,7 @@ class GaussianVISettings:
 
 
 class GaussianState(NamedTuple):
-    """A run between two iterations.
+    """State of Gaussian variational inference between two iterations.
 
     Attributes:
         mean: (d,) m.

@@ -13,10 +13,10 @@ __all__ = ["AdaGrad", "Adam", "GradientAscent", "Optimizer"]
 
 
 class Optimizer(Protocol):
-    """Turns directions into changes; what it remembers is a value that the caller carries."""
+    """Protocol of optimisers: directions to changes; the caller carries the state, a value."""
 
     def init(self, particles: Tensor) -> Any:
-        """Return what is remembered before the first iteration."""
+        """Return the state before the first iteration."""
         ...
 
     def update(self, direction: Tensor, memory: Any, iteration: int) -> tuple[Tensor, Any]:

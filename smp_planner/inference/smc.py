@@ -24,18 +24,18 @@ from smp_gym.arrays import FloatArray
 __all__ = ["LogLikelihood", "Posterior", "SMCSettings", "sample_posterior"]
 
 LogLikelihood = Callable[[FloatArray], FloatArray]
-"""From standard normals (P, d) to log p(O|z), (P,), finite."""
+"""Log-likelihood: from standard normals (P, d) to log p(O|z), (P,), finite."""
 
-_ACCEPTANCE = 0.3
-"""Share of moves to accept; the step is led there. Near the best of random-walk kernels."""
+_TARGET_ACCEPTANCE = 0.3
+"""Share of moves to accept, to which the step is adapted. Near the best of random-walk kernels."""
 
-_LEAD = 0.5
-"""How far the step's logarithm goes for each unit by which the acceptance is off."""
+_ADAPTATION_GAIN = 0.5
+"""Change of the step's logarithm for each unit by which the acceptance is off."""
 
 
 @dataclass(frozen=True)
 class SMCSettings:
-    """How a posterior is sampled.
+    """Settings of sequential Monte Carlo.
 
     Attributes:
         particles: P, at least 2.
@@ -119,7 +119,9 @@ def sample_posterior(
             particles = np.where(accepted[:, None], proposed, particles)
             values = np.where(accepted, offered, values)
             shares.append(accepted.mean())
-            step = min(1.0, step * float(np.exp(_LEAD * (shares[-1] - _ACCEPTANCE))))
+            step = min(
+                1.0, step * float(np.exp(_ADAPTATION_GAIN * (shares[-1] - _TARGET_ACCEPTANCE)))
+            )
         temperatures.append(temperature)
         acceptance.append(np.mean(shares))
     return Posterior(particles, log_evidence, np.array(temperatures), np.array(acceptance))
@@ -136,7 +138,7 @@ def _evaluate(log_likelihood: LogLikelihood, particles: FloatArray) -> FloatArra
 
 
 def _rise(values: FloatArray, left: float, effective: float) -> float:
-    """Return by how much the temperature may rise, at most what is `left`."""
+    """Return the rise of the temperature, at most what is `left`."""
 
     def excess(rise: float) -> float:
         log_weights = rise * values

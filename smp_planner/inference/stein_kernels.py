@@ -25,11 +25,11 @@ __all__ = [
 ]
 
 BandwidthRule = Callable[[Tensor], Tensor]
-"""From squared distances (..., P, P) of particles to the bandwidth h (...), their unit squared."""
+"""Rule from squared distances (..., P, P) of particles to the bandwidth h (...), in their unit."""
 
 
 class KernelTerms(NamedTuple):
-    """What one iteration needs to know of a kernel.
+    """Values of a kernel that one iteration needs.
 
     Attributes:
         gram: (..., P, P) k(x_j, x_i) in row i and column j.
@@ -41,7 +41,7 @@ class KernelTerms(NamedTuple):
 
 
 class Kernel(Protocol):
-    """A positive definite kernel with its gradient."""
+    """Protocol of positive definite kernels with their gradients."""
 
     def __call__(self, particles: Tensor) -> KernelTerms:
         """Return the kernel between all particles, (..., P, d)."""

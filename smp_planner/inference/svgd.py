@@ -1,7 +1,7 @@
 """Stein variational gradient descent as two pure functions, `init` and `step`.
 
-Source: Liu & Wang 2016, Alg. 1; Eq. (5), (11) and (16). The indices of those equations are read in
-the standard way: the sum runs over j, particle i is updated, and the repulsive gradient is with
+Source: Liu & Wang 2016, Alg. 1; Eq. (5), (11) and (16). The indices of those equations are read as
+usual: the sum runs over j, particle i is updated, and the repulsive gradient is with
 respect to the summed particle, φ(x_i) = 1/P Σ_j [k(x_j, x_i) ∇ log p(x_j) + ∇_{x_j} k(x_j, x_i)].
 
 A finite set has less spread than its target, the less the more dimensions and the fewer particles
@@ -50,7 +50,7 @@ __all__ = [
 
 
 class State(NamedTuple):
-    """A run between two iterations.
+    """State of SVGD between two iterations.
 
     Attributes:
         particles: (..., P, d); leading dimensions are independent runs.
@@ -65,7 +65,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class SVGDSettings:
-    """How particles are moved; the defaults are the *default* setting.
+    """Settings of SVGD; the defaults are the *default* setting.
 
     Annealing follows D'Angelo & Fortuin (2021): the attractive term of the Stein direction is
     multiplied by the schedule and the repulsive term is not, so that particles spread before they
@@ -75,7 +75,7 @@ class SVGDSettings:
     Attributes:
         whiten: whether particles are the standard normals z of the weights (`ProMP.whiten`), which
             amounts to a constant matrix-valued kernel, or the weights themselves. The caller passes
-            particles and scores in these coordinates; `step` does not look at it.
+            particles and scores in these coordinates; `step` does not use it.
         kernel: between particles.
         optimizer: turns the Stein direction into a change.
         step_size: of the first iteration.
@@ -117,7 +117,7 @@ class SVGDSettings:
 
     @property
     def needs_metric(self) -> bool:
-        """Whether the kernel waits for the metric in which it shall measure."""
+        """True if the kernel still lacks the metric in which it measures."""
         return isinstance(self.kernel, MetricKernel) and self.kernel.root is None
 
     def with_metric(self, root: Tensor) -> SVGDSettings:
@@ -219,8 +219,8 @@ def step(
         prior_score: (..., P, d) gradient of the log-prior at the particles.
         likelihood_score: (..., P, d) gradient of the log-likelihood, -λ ∇C.
         settings: the same as for `init`.
-        validate: whether to look if scores are finite, for which a device has to be waited for;
-            who says no looks at the particles in the end.
+        validate: whether to check that scores are finite, for which a device has to be waited for;
+            a caller who does not checks the particles in the end.
 
     Raises:
         ValueError: a score has another shape than the particles or is not finite, or all
@@ -266,6 +266,6 @@ def converged(state: State, movement: float, settings: SVGDSettings) -> bool:
 
 
 def _check_finite(name: str, value: Tensor) -> None:
-    # The sum is finite only if every entry is, and is cheaper to ask in the inner loop.
+    # The sum is finite only if every entry is, and is cheaper to check in the inner loop.
     if not math.isfinite(value.sum().item()):
         raise ValueError(f"{name} must be finite, got NaN or infinity")

@@ -1,1 +1,1 @@
-"""What `smp_planner.library.smp` is made of: primitives adapted to scenes of the user's own."""
+"""Stein Movement Primitives for demonstrations and scenes of the user's own; see `library.smp`."""

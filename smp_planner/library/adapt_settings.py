@@ -1,4 +1,4 @@
-"""Settings of plans for paths and robots of one's own."""
+"""Settings of plans for the user's own paths and robots."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pydantic import Field
 
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["JOINT_SMOOTH_STD", "SMOOTH_STD", "AdaptSettings"]
+__all__ = ["JOINT_SMOOTH_STD", "PATH_SMOOTH_STD", "AdaptSettings"]
 
-SMOOTH_STD = 0.1
-"""Extents, freedom that paths get beside what the demonstrations teach."""
+PATH_SMOOTH_STD = 0.1
+"""Extents, standard deviation added to paths beside what the demonstrations teach."""
 
 JOINT_SMOOTH_STD = 0.2
 """rad, likewise for the joints of a robot."""
 
 
 class AdaptSettings(PlanSettings):
-    """`PlanSettings` with defaults for one's own data: exact map, firmer obstacles.
+    """`PlanSettings` with defaults for the user's own data: exact map, larger λ.
 
     An extent, the unit of lengths but for robots, is the longest side of the box around all
     demonstrations. λ is for sums scaled to `scene.REFERENCE_SPHERES` spheres of a robot.

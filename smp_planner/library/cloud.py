@@ -1,7 +1,7 @@
 """A point cloud as an obstacle, and the map that the paper's network learns of it, Eq. (12).
 
 A camera gives no bodies: the map is all that is known of the scene, so that plans are made and
-judged on it. It is learned once for a cloud and a workspace and kept with the cloud.
+assessed on it. It is learned once for a cloud and a workspace and kept with the cloud.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from smp_planner.planning.settings import PlanSettings
 __all__ = ["THICKNESS", "PointCloud", "learned_cloud"]
 
 THICKNESS = 0.05
-"""Extents (m for a robot), how deep things are taken to be unless the cloud says otherwise."""
+"""Extents (m for a robot), default depth of objects behind their seen surface."""
 
 _SEED = 0
-"""Of points and training: the map belongs to the cloud, whatever the seed of a plan."""
+"""Seed of points and training: the map belongs to the cloud, whatever the seed of a plan."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points on surfaces, as a depth camera sees them, that paths in space or a robot shall avoid.
+    """Points on surfaces, as a depth camera sees them, that paths in space or a robot avoid.
 
     What lies behind a seen surface, within a thickness, is taken for occupied, and all else that
     was not seen for free: what is thicker than that may be entered from behind. Points of the
@@ -43,8 +43,8 @@ class PointCloud:
         points: (N, 3) in the unit of the path; for a robot m, in the frame of its root link.
         sensor: (3,) where the camera stood, or (N, 3) for each point its own, so that clouds of
             several cameras make one; same unit.
-        thickness: how deep things are behind their surface, same unit; None takes `THICKNESS`.
-        inflation: by which things are grown while the map is learned, which takes it off again;
+        thickness: depth of objects behind their surface, same unit; None takes `THICKNESS`.
+        inflation: by which objects are grown while the map is learned, which takes it off again;
             same unit. Most points must have a neighbour within it. None takes 0.02 extents (m for
             a robot).
         maps: what has been learned of it, by workspace and settings.
@@ -76,7 +76,7 @@ class PointCloud:
         self.refuse_near_sensor(self.inflation or 0.0)
 
     def __repr__(self) -> str:
-        """Return what it is, without its points."""
+        """Return a short description, without the points."""
         return f"PointCloud({len(self.points)} points)"
 
     def refuse_near_sensor(self, inflation: float) -> None:
@@ -107,14 +107,14 @@ def learned_cloud(
     radius: float,
     settings: PlanSettings,
 ) -> LearnedCloud:
-    """Return what is known of a cloud where the moving body can be.
+    """Return the learned map of a cloud where the moving body can be.
 
     Args:
         cloud: in the user's unit.
         frame: that makes normalised coordinates of it.
         reachable: corners of the box in which the body can be, normalised.
-        radius: of the largest ball that asks, normalised; the map tells distances up to it and
-            `TRUNCATION` more apart.
+        radius: of the largest ball that queries it, normalised; the map is not cut off up to it
+            and `TRUNCATION` more.
         settings: how many points and steps to learn with.
 
     Raises:

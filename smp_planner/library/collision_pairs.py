@@ -1,4 +1,4 @@
-"""Which spheres of a robot of one's own must stay clear of each other."""
+"""Self-collision pairs: spheres of a user's robot that must stay clear of each other."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ __all__ = ["PAIR_GAP", "with_collision_pairs"]
 PAIR_GAP = 0.01
 """m, least gap of two spheres in all demonstrations from which on they are kept apart."""
 
-_LOOKS = 50
+_CONFIGURATIONS = 50
+"""Configurations of each demonstration in which gaps are measured."""
 
 
 def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]) -> RobotModel:
-    """Return a robot that knows which of its spheres must stay clear of each other.
+    """Return a robot with the pairs of its spheres that must stay clear of each other.
 
     Those of links that are not neighbours, unless they come nearer than `PAIR_GAP` in a
     demonstration: spheres reach beyond what they cover, and demonstrations are free.
 
     Args:
-        model: whose `collision_pairs` are not looked at.
+        model: whose `collision_pairs` are replaced.
         demonstrations: (T_j, n) rad.
     """
-    looks = [d[np.linspace(0, len(d) - 1, _LOOKS).astype(int)] for d in demonstrations]
-    centers = model.sphere_centers(torch.from_numpy(np.concatenate(looks))).numpy()
+    shown = [d[np.linspace(0, len(d) - 1, _CONFIGURATIONS).astype(int)] for d in demonstrations]
+    centers = model.sphere_centers(torch.from_numpy(np.concatenate(shown))).numpy()
     link, radius = model.link, model.radius
     pairs = []
     for first in range(len(link)):

@@ -31,7 +31,7 @@ class Frame:
 
     @property
     def dimension(self) -> int:
-        """D."""
+        """D, number of coordinates."""
         return len(self.offset)
 
     def inwards(self, points: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""How one says what a path shall pass: via-points, boxes, and choices among them."""
+"""Requests for points that a path passes: via-points, boxes, and choices among them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _vector(name: str, value: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box in which a path shall start or end, with Gaussian tails outside: Eq. (14).
+    """A box in which a path starts or ends, with Gaussian tails outside: Eq. (14).
 
     Attributes:
         lower: (D,) lower corner, in the unit of the path.
@@ -50,7 +50,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class AnyOf:
-    """Several places of which any will do: a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
+    """Alternative places: a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
 
     Attributes:
         options: points (D,) or `Box`es for start and goal; `ViaPoint`s of one phase for via-points;
@@ -76,7 +76,7 @@ class AnyOf:
 
 @dataclass(frozen=True, eq=False)
 class ViaPoint:
-    """A point that a path shall pass at a phase.
+    """A point that a path passes at a phase.
 
     Attributes:
         phase: in [0, 1].

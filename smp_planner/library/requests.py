@@ -1,4 +1,4 @@
-"""What the user asks of a path, checked and turned into constraints in normalised coordinates."""
+"""Requests for a path, checked and turned into constraints in normalised coordinates."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from smp_planner.movement_primitives.box_prior import SmoothBox
 from smp_planner.planning.constraints import Constraint, Passing, Place, Reaching
 from smp_planner.planning.tool_goals import GoalRegion
 
-__all__ = ["Wanted", "constraints_of"]
-Wanted = ArrayLike | Box | GoalRegion | AnyOf
-"""Where a path may be asked to start or end."""
+__all__ = ["Request", "constraints_of"]
+Request = ArrayLike | Box | GoalRegion | AnyOf
+"""A request for the start or the end of a path."""
 
 TOLERANCE_SHARE = 0.8
 """Share of a via-point's tolerance that the box around it takes up, corners included."""
@@ -31,19 +31,19 @@ _SAME = 1e-9
 
 def constraints_of(
     frame: Frame,
-    start: Wanted | None,
+    start: Request | None,
     via_points: Sequence[ViaPoint | AnyOf],
-    goal: Wanted | None,
+    goal: Request | None,
     sigma: float,
     robot: RobotModel | None,
 ) -> tuple[Constraint, ...]:
-    """Return what a path shall be near to, ascending in phase.
+    """Return the constraints that requests for a path amount to, ascending in phase.
 
     Args:
         frame: of the path.
-        start: where it shall begin; None leaves that to the demonstrations.
-        via_points: what it shall pass.
-        goal: where it shall end; None leaves that to the demonstrations.
+        start: of the path; None leaves that to the demonstrations.
+        via_points: of the path.
+        goal: of the path; None leaves that to the demonstrations.
         sigma: of tails where none is given, in extents; m for the regions of a tool.
         robot: that moves; None for a ball.
 
@@ -77,11 +77,11 @@ def constraints_of(
     return tuple(sorted(constraints, key=lambda constraint: constraint.phases[0]))
 
 
-def _options(wanted: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
-    if isinstance(wanted, AnyOf):
-        assert wanted.shares is not None
-        return tuple(wanted.options), tuple(wanted.shares)
-    return (wanted,), (1.0,)
+def _options(request: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
+    if isinstance(request, AnyOf):
+        assert request.shares is not None
+        return tuple(request.options), tuple(request.shares)
+    return (request,), (1.0,)
 
 
 def _reaching(
@@ -94,8 +94,8 @@ def _reaching(
     return Reaching(options, robot, shares)
 
 
-def _passing(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -> Passing:
-    options, shares = _options(wanted)
+def _passing(name: str, phase: float, frame: Frame, request: Any, sigma: float) -> Passing:
+    options, shares = _options(request)
     for option in options:
         if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
             raise ValueError(f"{name} must be a point, a Box or AnyOf of such, got {option!r}")
@@ -106,18 +106,18 @@ def _passing(name: str, phase: float, frame: Frame, wanted: Any, sigma: float) -
     return Passing(name, phase, tuple(places))
 
 
-def _place(name: str, frame: Frame, wanted: Any, share: float, sigma: float) -> Place:
+def _place(name: str, frame: Frame, request: Any, share: float, sigma: float) -> Place:
     paper_scale, tolerance, point = False, 0.0, None
-    if isinstance(wanted, Box):
-        if wanted.sigma is not None:
-            sigma = float(frame.lengths_inwards(wanted.sigma))
-        paper_scale = wanted.paper_scale
-        lower, upper = wanted.lower, wanted.upper
+    if isinstance(request, Box):
+        if request.sigma is not None:
+            sigma = float(frame.lengths_inwards(request.sigma))
+        paper_scale = request.paper_scale
+        lower, upper = request.lower, request.upper
     else:
-        if isinstance(wanted, ViaPoint):
-            tolerance = float(frame.lengths_inwards(wanted.tolerance))
-            wanted = wanted.position
-        point = lower = upper = np.asarray(wanted, np.float64)
+        if isinstance(request, ViaPoint):
+            tolerance = float(frame.lengths_inwards(request.tolerance))
+            request = request.position
+        point = lower = upper = np.asarray(request, np.float64)
     if lower.shape != (frame.dimension,):
         raise ValueError(
             f"{name} must have the {frame.dimension} coordinates that the demonstrations have, "

@@ -1,4 +1,4 @@
-"""A scene of one's own: what moves, among which obstacles, in the coordinates of the path."""
+"""A scene of the user: a body and its obstacles, in the coordinates of the path."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ __all__ = ["Scene"]
 REFERENCE_SPHERES = 32
 """Spheres to which the collision cost of a robot is scaled, however finely it is covered."""
 
-_SLACK = 0.25
+_MAP_MARGIN = 0.25
 """Extents around demonstrations and constraints that a learned map covers."""
 
-_ROOM = 0.5
+_CLOUD_MARGIN = 0.5
 """Extents around demonstrations within which a point cloud is learned. It is more, since such a map
-also judges paths, and one map serves starts and ends that lie `_SLACK` inside."""
+also serves the check of paths, and one map serves starts and ends that lie `_MAP_MARGIN` inside."""
 
-_LAYER = 0.05
+_MAP_HALF_HEIGHT = 0.05
 """Extents that it covers above and below the plane in which paths are."""
 
-_LOOKS = 3
+_LATTICE_POINTS = 3
 """Points along each side of a box that are tried for a free one."""
 
-_MOST_SIDES = 6
+_MOST_LATTICE_DIMENSIONS = 6
 """Dimensions of a box up to which it is tried so."""
 
 
@@ -72,7 +72,7 @@ class Scene:
                 "make one, with a sensor for each point"
             )
         self._cloud = clouds[0] if clouds else None
-        # The cloud is looked at after all bodies.
+        # The cloud is checked after all bodies.
         self._order = sorted(range(len(obstacles)), key=lambda i: obstacles[i] is self._cloud)
         self._obstacle_frame = frame if robot is None else Frame(np.zeros(3), 1.0)
         self._bodies = bodies(obstacles, self._obstacle_frame)
@@ -87,7 +87,7 @@ class Scene:
         """Return the problem of this scene, in the coordinates of the path.
 
         Args:
-            constraints: what the path shall do, ascending in phase.
+            constraints: on the path, ascending in phase.
             settings: how a point cloud is learned.
             seed: of the plan.
             demonstrations: N arrays (T_j, D), in the user's unit; a map covers where they go.
@@ -99,8 +99,8 @@ class Scene:
             workspace = None
             if self._bodies:
                 around = in_space(np.concatenate([shown, asked])[None])[0]
-                slack = np.full(3, _SLACK)
-                slack[self._frame.dimension :] = _LAYER
+                slack = np.full(3, _MAP_MARGIN)
+                slack[self._frame.dimension :] = _MAP_HALF_HEIGHT
                 lower, upper = around.min(axis=0) - slack, around.max(axis=0) + slack
                 workspace = tuple(lower.tolist()), tuple(upper.tolist())
             body = Ball(self._frame.dimension, self._radius, workspace)
@@ -178,7 +178,7 @@ class Scene:
         demonstrations: Sequence[FloatArray],
         constraints: Sequence[Constraint],
     ) -> LearnedCloud | None:
-        """Return what is known of the point cloud; None if there is none."""
+        """Return the learned map of the point cloud; None if there is none."""
         if self._cloud is None:
             return None
         if self._robot is not None:
@@ -186,7 +186,14 @@ class Scene:
             box, radius = reachable_box(model), float(model.radius.max(initial=0.0))
         else:
             shown, asked = self._demonstrated(demonstrations), self._corners(constraints)
-            covered = np.concatenate([shown - _ROOM, shown + _ROOM, asked - _SLACK, asked + _SLACK])
+            covered = np.concatenate(
+                [
+                    shown - _CLOUD_MARGIN,
+                    shown + _CLOUD_MARGIN,
+                    asked - _MAP_MARGIN,
+                    asked + _MAP_MARGIN,
+                ]
+            )
             box, radius = (covered.min(axis=0), covered.max(axis=0)), self._radius
         return learned_cloud(self._cloud, self._obstacle_frame, box, radius, settings)
 
@@ -196,7 +203,7 @@ def _candidates(place: Place) -> FloatArray:
     if place.point is not None:
         return place.point[None]
     lower, upper = place.box.lower.numpy(), place.box.upper.numpy()
-    if len(lower) > _MOST_SIDES:
+    if len(lower) > _MOST_LATTICE_DIMENSIONS:
         return ((lower + upper) / 2)[None]
-    shares = np.array(list(product(np.linspace(0.0, 1.0, _LOOKS), repeat=len(lower))))
+    shares = np.array(list(product(np.linspace(0.0, 1.0, _LATTICE_POINTS), repeat=len(lower))))
     return np.asarray(lower + shares * (upper - lower))

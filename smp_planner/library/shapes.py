@@ -17,7 +17,7 @@ from smp_planner.library.frame import Frame
 
 __all__ = ["Circle", "PathObstacle", "Rectangle", "bodies", "outline"]
 
-_DEPTH = 1.0
+_COLUMN_HALF_HEIGHT = 1.0
 """Half height, in extents, of the columns that plane obstacles are; paths run at half height."""
 
 
@@ -71,8 +71,7 @@ class Rectangle:
 
 
 PathObstacle = Circle | Rectangle | Obstacle | PointCloud
-"""What a path must not touch: `Circle` and `Rectangle` in the plane, `Obstacle` and one
-`PointCloud` in space."""
+"""An obstacle: `Circle` and `Rectangle` in the plane, `Obstacle` and one `PointCloud` in space."""
 
 
 def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, ...]:
@@ -94,12 +93,12 @@ def bodies(obstacles: Sequence[PathObstacle], frame: Frame) -> tuple[Obstacle, .
         raise ValueError(
             f"obstacles need a path in the plane or in space, or a robot; got D = {dimension}"
         )
-    wanted: Any = (Circle, Rectangle) if dimension == 2 else Obstacle
+    allowed: Any = (Circle, Rectangle) if dimension == 2 else Obstacle
     placed = []
     for index, obstacle in enumerate(obstacles):
         if isinstance(obstacle, PointCloud) and dimension == 3:
             continue
-        if not isinstance(obstacle, wanted):
+        if not isinstance(obstacle, allowed):
             names = (
                 "Circle or Rectangle"
                 if dimension == 2
@@ -125,7 +124,9 @@ def _body(obstacle: Circle | Rectangle | Obstacle, frame: Frame) -> Obstacle:
     if isinstance(obstacle, Circle):
         radius = float(frame.lengths_inwards(obstacle.radius))
         return Obstacle(
-            shape="cylinder", position=position, size=(radius, radius, max(radius, _DEPTH))
+            shape="cylinder",
+            position=position,
+            size=(radius, radius, max(radius, _COLUMN_HALF_HEIGHT)),
         )
     x, y = frame.lengths_inwards(obstacle.half_extents).tolist()
     half = obstacle.angle / 2
@@ -133,7 +134,7 @@ def _body(obstacle: Circle | Rectangle | Obstacle, frame: Frame) -> Obstacle:
         shape="box",
         position=position,
         quaternion=(0.0, 0.0, math.sin(half), math.cos(half)),
-        size=(x, y, max(x, y, _DEPTH)),
+        size=(x, y, max(x, y, _COLUMN_HALF_HEIGHT)),
     )
 
 

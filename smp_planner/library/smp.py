@@ -1,4 +1,4 @@
-"""Stein movement primitives from demonstrations of one's own, without any environment.
+"""Stein Movement Primitives from the user's own demonstrations, without any environment.
 
     primitive = SMP.fit(demonstrations)
     plan = primitive.adapt([Circle((0.5, 0.2), 0.1)], goal=(1.0, 0.3), particles=42, seed=0)
@@ -20,13 +20,13 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import Adaptation, adaptation
-from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, SMOOTH_STD, AdaptSettings
+from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, PATH_SMOOTH_STD, AdaptSettings
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.reading import demonstrations_of
-from smp_planner.library.requests import Wanted, constraints_of
+from smp_planner.library.requests import Request, constraints_of
 from smp_planner.library.scene import Scene
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
@@ -97,7 +97,7 @@ class SMP:
     def fit(cls, demonstrations: Any, robot: Robot | None = None, **settings: Any) -> SMP:
         """Learn a primitive from demonstrations.
 
-        A coordinate that is constant in all of them stays allowed: its freedom is the one that is
+        A coordinate that is constant in all of them stays allowed: its variance is the one that is
         added (`PriorSettings.smooth_std`).
 
         Args:
@@ -114,8 +114,8 @@ class SMP:
                 dimension or not that of the robot, a number that is not finite, all of them one
                 point, or more modes than there are demonstrations for.
         """
-        freedom = SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
-        learning = PriorSettings(**{"smooth_std": freedom, **settings})
+        smooth_std = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
+        learning = PriorSettings(**{"smooth_std": smooth_std, **settings})
         given = demonstrations_of(demonstrations, nan_is_missing=learning.nan_is_missing)
         return cls(given, learning, robot)
 
@@ -152,15 +152,15 @@ class SMP:
 
     @property
     def extent(self) -> float:
-        """What the lengths in settings are shares of, in the unit of the demonstrations."""
+        """Length of which those in settings are shares, in the unit of the demonstrations."""
         return self.frame.scale
 
     def adapt(
         self,
         obstacles: Sequence[PathObstacle] | PointCloud = (),
         *,
-        start: Wanted | None = None,
-        goal: Wanted | None = None,
+        start: Request | None = None,
+        goal: Request | None = None,
         via_points: Sequence[ViaPoint | AnyOf] = (),
         radius: float = 0.0,
         particles: int = 42,
@@ -180,7 +180,7 @@ class SMP:
                 `smp_gym.scene.Obstacle`s and one `PointCloud`, which may also be given alone.
             start: (D,) where to begin, a `Box`, or `AnyOf` such; None leaves it as demonstrated.
             goal: likewise, where to end; for a robot also a `GoalRegion` of its tool.
-            via_points: what to pass on the way; `AnyOf` several of one phase for a choice.
+            via_points: what to pass in between; `AnyOf` several of one phase for a choice.
             radius: of the ball that moves; 0 is a point. A robot has none.
             particles: P.
             seed: of all randomness; the same call gives the same plan.

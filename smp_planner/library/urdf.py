@@ -22,10 +22,10 @@ from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.covering import cover_mesh
 
-__all__ = ["ENDLESS", "Robot"]
+__all__ = ["CONTINUOUS_LIMIT", "Robot"]
 
-ENDLESS = 4.0 * math.pi
-"""rad either way, limits of a continuous joint for which the URDF names none."""
+CONTINUOUS_LIMIT = 4.0 * math.pi
+"""rad in either direction, limits of a continuous joint for which the URDF names none."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Robot:
         What hangs on the chain beside it, such as fingers, moves with the link that it hangs on.
 
         Args:
-            path: the file; meshes are looked for relative to it, `package://` names among the
+            path: the file; meshes are found relative to it, `package://` names among the
                 folders above it.
             tip: link whose origin is the tool.
             held: joints that stand still, and where (rad or m). Joints beside the chain that are
@@ -165,8 +165,8 @@ def _read_joint(element: ET.Element) -> _Joint:
         child=link("child"),
         origin=_origin(element.find("origin")),
         axis=direction / (length or 1.0),
-        lower=float(limits.get("lower", -ENDLESS if endless else 0.0)),
-        upper=float(limits.get("upper", ENDLESS if endless else 0.0)),
+        lower=float(limits.get("lower", -CONTINUOUS_LIMIT if endless else 0.0)),
+        upper=float(limits.get("upper", CONTINUOUS_LIMIT if endless else 0.0)),
         velocity=float(limits.get("velocity", 0.0)),
         is_mimic=element.find("mimic") is not None,
     )
@@ -187,7 +187,7 @@ def _moving_chain(
         if joint.kind not in ("revolute", "continuous") or joint.is_mimic:
             kind = "mimic" if joint.is_mimic else joint.kind
             raise ValueError(
-                f"joint {joint.name!r} on the way to {tip!r} is {kind}; only revolute and "
+                f"joint {joint.name!r} in the chain to {tip!r} is {kind}; only revolute and "
                 f"continuous joints can be planned for, others must be held"
             )
         if not joint.lower < joint.upper or not joint.velocity > 0.0:

@@ -12,7 +12,7 @@ from smp_planner.movement_primitives.promp import ProMP
 
 __all__ = ["blend"]
 
-_CERTAIN = 1e-6
+_CERTAIN_SHARE = 1e-6
 """Standard deviation, over the largest of the primitive, under which its precision is lost to
 rounding."""
 
@@ -40,7 +40,7 @@ def blend(primitives: Sequence[ProMP], activations: Tensor) -> ProMP:
             positive at each phase; T at least the number of basis functions.
 
     Raises:
-        ValueError: primitives do not fit together, `activations` is not as said, or a position is
+        ValueError: primitives do not fit together, `activations` is not as above, or a position is
             certain under a primitive at a phase where another is active, too (blend first, then
             condition).
     """
@@ -87,7 +87,7 @@ def _precisions(deviation: Tensor, activation: Tensor, index: int, at: Tensor) -
     active = activation > 0
     covariance = deviation @ deviation.mT
     variances = torch.linalg.eigvalsh(covariance)
-    certain = active & (variances[:, 0] <= _CERTAIN**2 * variances.max())
+    certain = active & (variances[:, 0] <= _CERTAIN_SHARE**2 * variances.max())
     if bool(certain.any()):
         raise ValueError(
             f"primitives[{index}] is certain at phase {float(at[certain][0]):.3g}, where another "

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
 from smp_planner.movement_primitives.covariances import smooth_covariance, square_root
-from smp_planner.movement_primitives.samples import alike
+from smp_planner.movement_primitives.samples import equal_stacks
 
 __all__ = [
     "EMSettings",
@@ -37,17 +37,17 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class EMSettings:
-    """What the learning assumes before it sees a demonstration; lengths in the data's unit.
+    """Prior of the learning over its parameters; lengths in the data's unit.
 
     The prior of Σ_w is inverse-Wishart and stated by its effect on the maximum a posteriori: it
     counts as `prior_count` further demonstrations whose weights have covariance `prior_std`² I. In
     the usual symbols its scale is `prior_count` `prior_std`² I and its degrees of freedom are
     `prior_count` - KD - 1. (A proper prior needs more than KD - 1 of them; with that many, seven
-    demonstrations would hardly be heard, so the improper limit is taken.)
+    demonstrations would hardly have an effect, so the improper limit is taken.)
 
     Attributes:
         prior_std: standard deviation of a weight under the prior of Σ_w, rad. Divided among N + 1
-            it is about 0.01 for seven demonstrations: nothing beside the freedom that is added
+            it is about 0.01 for seven demonstrations: nothing beside the covariance that is added
             later, but the condition number of Σ_w, on which methods that work on raw weights
             depend, falls with its square.
         prior_count: weight of that prior, in demonstrations.
@@ -81,7 +81,7 @@ class _Pattern(NamedTuple):
         values: (t, K) basis functions at those samples.
         rows: (t,) which samples.
         precision: (D, D) inverse of Σ_y between the dimensions present, zero elsewhere.
-        imputation: (D, D) from the noise, of which only the dimensions present are looked at, to
+        imputation: (D, D) from the noise, of which only the dimensions present are used, to
             the mean of it all; the identity if all are present.
         remainder: (D, D) covariance of it all given the dimensions present.
         log_determinant: of the square root of Σ_y between the dimensions present.
@@ -116,7 +116,7 @@ class Posterior(NamedTuple):
 
 
 class LearnedDistribution(NamedTuple):
-    """What expectation-maximisation found.
+    """Result of expectation-maximisation.
 
     Attributes:
         mean: (K*D,) μ_w.
@@ -160,7 +160,7 @@ def _patterns(demonstration: Tensor, basis: GaussianBasis, noise: Tensor) -> lis
 def infer(
     demonstrations: Tensor, basis: GaussianBasis, mean: Tensor, factor: Tensor, noise: Tensor
 ) -> Posterior:
-    """Return the posterior of the weights given demonstrations that are alike (the E-step).
+    """Return the posterior of the weights given demonstrations of one stack (the E-step).
 
     Computed for the standard normal z of w = μ_w + L z, so Σ_w = L Lᵀ is never inverted. Where some
     dimensions of a sample are missing, those present count through their own block of Σ_y, which is
@@ -211,7 +211,7 @@ def infer(
 
 
 def fitted_weights(demonstrations: Tensor, basis: GaussianBasis) -> Tensor:
-    """Return the weights that fit each of several demonstrations that are alike.
+    """Return the weights that fit each of the demonstrations of one stack.
 
     They are the least-squares fit; where samples are missing, which leaves weights free, the
     posterior mean under a wide prior that is smooth along the phase.
@@ -255,7 +255,7 @@ def expectation_maximization(
         floor.
     """
     settings = settings or EMSettings()
-    groups = alike(demonstrations)
+    groups = equal_stacks(demonstrations)
     mean, covariance, noise = _initial(groups, basis, settings)
     objective: list[float] = []
     observed = sum(int((~torch.isnan(group)).sum()) for group in groups)

@@ -1,4 +1,4 @@
-"""Mixtures of primitives, for demonstrations that go more than one way: p(w) = Σ_c π_c N(μ_c, Σ_c).
+"""Mixtures of primitives, for demonstrations of several modes: p(w) = Σ_c π_c N(μ_c, Σ_c).
 
 Which demonstrations belong together is decided first, by their weights; then each group learns a
 primitive of its own. With so few demonstrations, in so many dimensions, expectation-maximisation of
@@ -22,17 +22,17 @@ from smp_planner.movement_primitives.em import fitted_weights
 from smp_planner.movement_primitives.promp import ProMP
 from smp_planner.movement_primitives.samples import checked_demonstrations
 
-__all__ = ["FEWEST", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
+__all__ = ["LEAST_MODE_SIZE", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
 
 SEPARATION = 2.4
 """Distance of the means of two groups, over the sum of their radii, from which they are modes. The
 halves of one group lie nearer, at 1.3 if it is Gaussian along a line and at 1.7 if it is uniform;
-of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % look like modes."""
+of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % pass for modes."""
 
-FEWEST = 3
-"""Demonstrations that make a mode; fewer are odd ones of another."""
+LEAST_MODE_SIZE = 3
+"""Least number of demonstrations in a mode; fewer are outliers of another."""
 
-_SAMPLES = 200
+_COMPARED_PHASES = 200
 """Phases over which the distance of two paths is averaged."""
 
 
@@ -48,8 +48,8 @@ def demonstrated_modes(
     Each demonstration is given the weights that fit it best; the distance of two is that of their
     paths, root mean square over phase. A group is divided by 2-means, begun at the two members
     that are farthest apart, if the two halves lie `SEPARATION` times farther from each other than
-    their radii (root mean square distance from the mean) amount to; then their halves are looked
-    at. Fewer than `FEWEST` demonstrations are no mode.
+    the sum of their radii (root mean square distances from the mean); then their halves are
+    tried. Fewer than `LEAST_MODE_SIZE` demonstrations are no mode.
 
     If it is known how many there are, the group whose division takes the most from the sum of
     squares is divided, until there are so many.
@@ -72,7 +72,7 @@ def demonstrated_modes(
             f"modes must be 1 .. {most}, as a primitive is learned from two demonstrations at "
             f"least and there are {len(checked)}; got {modes}"
         )
-    root = basis.path_root(_SAMPLES)
+    root = basis.path_root(_COMPARED_PHASES)
     weights = [fitted_weights(d.detach().cpu().double()[None], basis)[0] for d in checked]
     points = torch.stack([(root @ w.unflatten(0, (basis.count, -1))).flatten() for w in weights])
     if modes is None:
@@ -85,7 +85,7 @@ def demonstrated_modes(
 
 def _divided(points: NDArray[np.float64], group: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
     parts = _halves(points, group)
-    if min(map(len, parts)) < FEWEST:
+    if min(map(len, parts)) < LEAST_MODE_SIZE:
         return (group,)
     means = [points[list(part)].mean(axis=0) for part in parts]
     radii = [math.sqrt(_sum_of_squares(points, part) / len(part)) for part in parts]
@@ -131,7 +131,7 @@ def _halves(
 
 
 def _two_means(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, d) points belong to the first of two means."""
+    """Return a mask of the points (N, d) that belong to the first of two means."""
     distances = np.linalg.norm(points[:, None] - points, axis=-1)
     first, second = np.unravel_index(distances.argmax(), distances.shape)
     means = points[[first, second]]
@@ -146,7 +146,7 @@ def _two_means(points: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def shared_out(count: int, shares: Sequence[float] | NDArray[np.float64]) -> list[int]:
-    """Return how many of `count` each share gets, by the method of the largest remainder."""
+    """Return `count` apportioned to shares, by the method of the largest remainder."""
     exact = np.asarray(shares, np.float64) / np.sum(shares) * count
     given = np.floor(exact + 1e-9).astype(int)
     order = np.argsort(-(exact - given), kind="stable")

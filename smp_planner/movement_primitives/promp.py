@@ -106,11 +106,11 @@ class ProMP:
         *Learned*, by expectation-maximisation: μ_w, Σ_w under an inverse-Wishart prior, and the
         observation noise Σ_y. *Added* to the learned Σ_w: `smooth_covariance`. A few demonstrations
         span a few directions only, and a multiple of the identity beside them lets a trajectory
-        shiver but not bend; the smooth part lets it bend around what was not there when it was
-        demonstrated.
+        vibrate but not bend; the smooth part lets it bend around obstacles that were not there in
+        the demonstrations.
 
         A dimension that is constant in all demonstrations is allowed: its mean is that constant,
-        its noise the floor of `em`, and its freedom what is added.
+        its noise the floor of `em`, and its covariance what is added.
 
         Args:
             demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in rad; samples stand at

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["alike", "checked_demonstrations"]
+__all__ = ["checked_demonstrations", "equal_stacks"]
 
 
 def checked_demonstrations(
@@ -68,7 +68,7 @@ def _check_numbers(demonstration: Tensor, index: int, nan_is_missing: bool) -> N
         )
 
 
-def alike(demonstrations: Sequence[Tensor]) -> list[Tensor]:
+def equal_stacks(demonstrations: Sequence[Tensor]) -> list[Tensor]:
     """Return stacks (n, T, D) of the demonstrations with equal length and equal missing samples.
 
     Shorter ones come first; in a stack the demonstrations stand in the order that they are given.

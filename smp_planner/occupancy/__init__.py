@@ -1,1 +1,1 @@
-"""Where a scene is occupied: exact, learned, and baked into one grid of signed distance."""
+"""Occupancy maps of a scene: exact, learned, and baked into one grid of signed distance."""

@@ -1,6 +1,6 @@
 """One regular grid of signed distance, into which every map is baked once per scene.
 
-Particle sets ask for the distance some 80 000 times in each iteration; a trilinear lookup answers
+Particle sets query the distance some 80 000 times in each iteration; a trilinear lookup returns it
 in nanoseconds, whatever the map was.
 """
 
@@ -48,8 +48,8 @@ def _cell(x, origin, inv_spacing, count):  # type: ignore[no-untyped-def]
 def lookup(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """Return (distance, gx, gy, gz) of one point: m, and the exact gradient of the interpolant.
 
-    Outside the grid the nearest point of its boundary answers, so the gradient across that boundary
-    is 0. Nothing is checked; a NaN coordinate gets an answer without meaning.
+    Outside the grid the value is that of the nearest boundary point, so the gradient across that
+    boundary is 0. Nothing is checked; the value at a NaN coordinate has no meaning.
 
     Args:
         values: (X, Y, Z) m, each at least 2 nodes.
@@ -122,7 +122,7 @@ class DistanceGrid:
 
     @cached_property
     def steepness(self) -> float:
-        """Bound on the change of `query` per metre of way, outside the grid, too."""
+        """Bound on the change of `query` per metre of path, outside the grid, too."""
         largest = [np.abs(np.diff(self.values, axis=axis)).max() for axis in range(3)]
         return float(np.linalg.norm(largest)) / self.spacing
 

@@ -38,7 +38,7 @@ INFLATION = 0.02
 
 _HEADER = {"format": "smp-point-network", "version": 1}
 _CHUNK = 1 << 16
-NEAR = 0.03
+SAMPLING_BAND = 0.03
 """Metres from the labelled surface within which most of the points are drawn."""
 
 UNIFORM_SHARE = 0.25
@@ -175,7 +175,7 @@ def sample_labelled_points(
         raise ValueError(f"count and inflation must not be negative, got {count} and {inflation}")
     lower, upper = (np.asarray(corner, np.float64) for corner in workspace)
     packed = PackedObstacles.of(obstacles)
-    reach = packed.half_extents + inflation + NEAR
+    reach = packed.half_extents + inflation + SAMPLING_BAND
     low = np.maximum(packed.position - reach, lower)
     high = np.minimum(packed.position + reach, upper)
     present = np.flatnonzero((low < high).all(axis=1))
@@ -188,7 +188,7 @@ def sample_labelled_points(
     while len(points) < count:
         body = rng.choice(present, count)
         drawn = rng.uniform(low[body], high[body])
-        near = np.abs(signed_distance(drawn, packed) - inflation) < NEAR
+        near = np.abs(signed_distance(drawn, packed) - inflation) < SAMPLING_BAND
         points = np.concatenate([points, drawn[near]])
     points = points[:count]
     return points, signed_distance(points, packed) <= inflation
@@ -307,7 +307,7 @@ class PointNetworkMap:
 
         Args:
             network: the classifier.
-            workspace: as in `grid.bake`; outside, the nearest point of its boundary answers.
+            workspace: as in `grid.bake`; outside, the value is that of the nearest boundary point.
             spacing: m; what is thinner, after inflation, may be lost.
             truncation: m.
 

@@ -1,6 +1,6 @@
-"""What every map of a scene can do, and how a distance becomes an occupancy.
+"""The protocol of occupancy maps, and the occupancy of a signed distance.
 
-Maps answer with a signed distance rather than with the occupancy probability of Eq. (12), because
+Maps return a signed distance rather than with the occupancy probability of Eq. (12), because
 one field of distance serves every sphere radius, edge width and margin: `occupancy` turns it into
 the probability that a sphere of a given radius touches something.
 """
@@ -18,7 +18,7 @@ from smp_gym.compiling import kernel
 __all__ = ["TRUNCATION", "OccupancyMap", "occupancy"]
 
 TRUNCATION = 0.15
-"""Metres from the surface beyond which maps answer with this value."""
+"""Truncation distance, m: maps return it beyond that distance from the surface."""
 
 
 @runtime_checkable

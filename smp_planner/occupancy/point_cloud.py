@@ -1,7 +1,7 @@
-"""Labelled points from a point cloud, as a depth camera gives one: what `train_map` learns from.
+"""Labelled points from a point cloud, as of a depth camera, for `train_map`.
 
-A camera sees the front of things. What lies behind a seen surface, within a thickness, is taken for
-occupied, and all else that was not seen for free.
+A camera sees the front of objects. What lies behind a seen surface, within a thickness, is taken
+for occupied, and all else that was not seen for free.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from scipy.spatial import cKDTree
 
 from smp_gym.geometry.distance import check_points
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid
-from smp_planner.occupancy.neural import INFLATION, NEAR, UNIFORM_SHARE, PointNetworkMap
+from smp_planner.occupancy.neural import INFLATION, SAMPLING_BAND, UNIFORM_SHARE, PointNetworkMap
 
 __all__ = ["LearnedCloud", "label_point_cloud"]
 
-_LAYER = 0.01
+_LAYER_SPACING = 0.01
 """Metres between the layers of points that stand for what is behind a surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedCloud:
-    """What is known of a scene from a cloud, in normalised coordinates (m for a robot).
+    """Maps of a scene learned from a point cloud, in normalised coordinates (m for a robot).
 
     Attributes:
         map: the learned distance; None if no point of the cloud is where the body can be.
@@ -77,7 +77,7 @@ def label_point_cloud(
         sensor: (3,) m, where the camera stood, or (N, 3) for each point its own.
         count: how many points to draw.
         rng: source of randomness.
-        thickness: m, how deep things are taken to be behind their surface.
+        thickness: m, depth of objects behind their surface.
         inflation: m, as above; the same is to be given to `train_map`.
         workspace: lower and upper corner of the box that the points are in, m; points of the cloud
             outside are left out.
@@ -113,15 +113,15 @@ def label_point_cloud(
         raise ValueError(
             f"sensor must not be a point of the cloud, got {origin[lengths[:, 0] == 0][0]}"
         )
-    depths = np.linspace(0.0, thickness, 1 + math.ceil(thickness / _LAYER))
+    depths = np.linspace(0.0, thickness, 1 + math.ceil(thickness / _LAYER_SPACING))
     solid = (surface + depths[:, None, None] * (rays / lengths)).reshape(-1, 3)
     tree = cKDTree(solid)
 
     points = rng.uniform(lower, upper, (int(UNIFORM_SHARE * count), 3))
-    reach = inflation + NEAR
+    reach = inflation + SAMPLING_BAND
     while len(points) < count:
         drawn = solid[rng.integers(len(solid), size=count)] + rng.uniform(-reach, reach, (count, 3))
-        near = np.abs(tree.query(drawn)[0] - inflation) < NEAR
+        near = np.abs(tree.query(drawn)[0] - inflation) < SAMPLING_BAND
         points = np.concatenate(
             [points, drawn[near & ((drawn >= lower) & (drawn <= upper)).all(axis=1)]]
         )

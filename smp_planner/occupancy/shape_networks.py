@@ -39,7 +39,7 @@ NETWORK_SHAPES = ("box", "cylinder", "sphere")
 
 _HEADER = {"format": "smp-shape-networks", "version": 1, "shapes": list(NETWORK_SHAPES)}
 
-_BLOCK = 128
+_BATCH_POINTS = 128
 """Points that go through a network together, so that its inner loops run over whole vectors."""
 
 # Lambert's continued fraction of tanh, cut to a quotient of polynomials in the square.
@@ -94,7 +94,7 @@ class ShapeNetworks:
 
     @property
     def arrays(self) -> tuple[Float32Array, ...]:
-        """The six arrays in the order above."""
+        """Tuple of the six arrays in the order above."""
         return tuple(getattr(self, f.name) for f in fields(self)[1:])
 
     def save(self, path: str | Path) -> None:
@@ -160,7 +160,7 @@ def _all_offsets(points, shape, sizes, truncation):  # type: ignore[no-untyped-d
 def face_offsets(
     points: NDArray[np.float64], shape: str, sizes: NDArray[np.float64], truncation: float
 ) -> NDArray[np.float64]:
-    """Return what a network sees of points near bodies of one shape.
+    """Return the inputs of a network for points near bodies of one shape.
 
     Args:
         points: (N, 3) m, each in the frame of its own body.
@@ -192,12 +192,12 @@ def _tanh(x):  # type: ignore[no-untyped-def]
 def _forward(inputs, count, w1, b1, w2, b2, w3, b3):  # type: ignore[no-untyped-def]
     """Return the (count,) float32 outputs of one network for inputs (3, >= count) float32."""
     hidden = len(b1)
-    first = np.empty((hidden, _BLOCK), np.float32)
-    second = np.empty(_BLOCK, np.float32)
-    total = np.empty(_BLOCK, np.float32)
+    first = np.empty((hidden, _BATCH_POINTS), np.float32)
+    second = np.empty(_BATCH_POINTS, np.float32)
+    total = np.empty(_BATCH_POINTS, np.float32)
     result = np.empty(count, np.float32)
-    for start in range(0, count, _BLOCK):
-        n = min(_BLOCK, count - start)
+    for start in range(0, count, _BATCH_POINTS):
+        n = min(_BATCH_POINTS, count - start)
         x, y, z = inputs[0, start:], inputs[1, start:], inputs[2, start:]
         for h in range(hidden):
             row, wx, wy, wz, bias = first[h], w1[h, 0], w1[h, 1], w1[h, 2], b1[h]

@@ -1,16 +1,16 @@
 """The planners of this package by name, with their settings per task (`settings.json`).
 
-`smp` and the baselines have equal freedom on a task, so that they start from one prior. The
+`smp` and the baselines have equal `smooth_std` on a task, so that they start from one prior. The
 checkpoints of a stroke hold the pen all along, so a path round an obstacle is short and sharp: it
-needs more freedom, and obstacles that outweigh what holds it. A push holds the middle of the
+needs a wider prior, and obstacles that outweigh what holds it. A push holds the middle of the
 trajectory, so what comes before and after it is short and must bend more sharply, too; fewer
-iterations do then. On both, `smp` has freedom of a shorter length scale over a finer basis than the
-paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it is not
-needed, have not.
+iterations are enough then. On both, `smp` has a prior of a shorter length scale over a finer basis
+than the paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it
+is not needed, have not.
 
-What the baselines have of their own is the best of what `scripts/tune_baselines.py` tries: of
+The settings of the baselines are the best of those that `scripts/tune_baselines.py` tries: of
 settings within two points of the highest share of particles that succeed, the one nearest to the
-defaults, since a firmer one gives up likeness for nothing.
+defaults, since one farther off gives up similarity for nothing.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["PLANNERS", "ConfiguredPlanner", "make_planner", "task_settings"]
 
 
 class ConfiguredPlanner(Planner, Protocol):
-    """A planner of this package, which tells its settings."""
+    """A planner of this package, with its settings."""
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -53,7 +53,7 @@ PLANNERS = MappingProxyType(
         "rrt_connect": RRTConnectPlanner,
     }
 )
-"""By name, what makes a planner of demonstrations and settings."""
+"""Factories of planners by name, from demonstrations and settings."""
 
 
 @cache

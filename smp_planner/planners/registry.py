@@ -1,4 +1,4 @@
-"""The methods by name: those of this package, those of installed packages, and one's own.
+"""The methods by name: those of this package, those of installed packages, and the user's own.
 
 A method is a name and a factory that makes a planner of demonstrations and settings. A spec names
 one: a name of `PLANNERS`, a name of the entry-point group `smp_planner.methods`, or
@@ -37,7 +37,7 @@ class Method:
     """A planning method: a name, and a factory of planners.
 
     Attributes:
-        name: as rows and files know the method.
+        name: of the method in rows and files.
         spec: with which `resolve` finds it again, in other processes, too.
         factory: called with demonstrations and, by name, settings.
         digest: of the method's source files, wherever it lives.
@@ -74,7 +74,7 @@ class Method:
         return planner
 
     def settings(self, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return all settings that are known, as JSON holds them: defaults and those given.
+        """Return all settings as JSON holds them: defaults and those given.
 
         Args:
             task: name of the task, which has settings of its own.

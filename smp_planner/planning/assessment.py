@@ -21,7 +21,7 @@ from smp_planner.planning.settings import PlanSettings
 __all__ = ["Verdict", "assess", "free_waypoints", "make_plan", "signatures"]
 
 _ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
-"""By how much, m, the middles of obstacles are moved for signatures: in a scene made by hand, a
+"""Shift, m, of the middles of obstacles for signatures: in a scene made by hand, a
 trajectory may lead right through one, where it has no side."""
 
 _SIGNATURE_SAMPLES = 50
@@ -30,7 +30,7 @@ cost more time, and class otherwise only what passes close to an edge or through
 
 
 class Verdict(NamedTuple):
-    """What the exact check found of P trajectories; see `Plan` for the fields.
+    """Results of the exact check of P trajectories; see `Plan` for the fields.
 
     Attributes:
         free: (P,).
@@ -174,7 +174,7 @@ def signatures(problem: Problem, trajectories: FloatArray) -> IntArray:
 
 
 def _passing(paths: FloatArray, movable: tuple[Obstacle, ...]) -> IntArray:
-    """Return how paths (P, T, 2 or 3) pass obstacles, (P, S)."""
+    """Return the signatures (P, S) of paths (P, T, 2 or 3) among obstacles."""
     centers = np.array([o.position for o in movable]).reshape(-1, 3)
     if not movable:
         return np.empty((len(paths), 0), np.int64)

@@ -1,4 +1,4 @@
-"""What moves along a trajectory: a robot with spheres around its links, or a ball.
+"""Bodies that follow a trajectory: a robot with spheres around its links, or a ball.
 
 A body says what its trajectories cost on a map (Eq. (12)), which limits they must keep, and, by an
 exact check, whether they are clear of obstacles. The pipeline knows nothing else of it.
@@ -40,7 +40,7 @@ from smp_planner.planning.maps import SceneMaps, Workspace, around_both, lowered
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = [
-    "TOLERANCE",
+    "PATH_TOLERANCE",
     "Ball",
     "Body",
     "DistanceMap",
@@ -52,12 +52,12 @@ __all__ = [
     "reachable_box",
 ]
 DistanceMap = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""From points (N, 3) to signed distance (N,) and its gradient (N, 3)."""
+"""Map from points (N, 3) to signed distance (N,) and its gradient (N, 3)."""
 
-TOLERANCE = 1e-4
+PATH_TOLERANCE = 1e-4
 """Extents by which the clearance of a ball's path may be overestimated."""
 
-_HALVINGS = 40
+_MOST_HALVINGS = 40
 
 
 class ObstacleCost(Protocol):
@@ -71,7 +71,7 @@ class ObstacleCost(Protocol):
 
 
 class Clearance(NamedTuple):
-    """What the exact check of P whole trajectories found.
+    """Results of the exact check of P whole trajectories.
 
     Attributes:
         clearance: (P,) least distance to an obstacle, negative inside; infinity without any.
@@ -83,7 +83,7 @@ class Clearance(NamedTuple):
 
 
 class Body(Protocol):
-    """What moves; lengths are m, or extents for a ball on paths of one's own."""
+    """Protocol of bodies; lengths are m, or extents for a ball."""
 
     @property
     def dimension(self) -> int:
@@ -269,7 +269,7 @@ def exact_map(obstacles: tuple[Obstacle, ...]) -> DistanceMap:
 
 
 def _nearest_of(first: DistanceMap, second: DistanceMap) -> DistanceMap:
-    """Return the distance to what either of two maps knows."""
+    """Return the minimum of two distance maps."""
 
     def query(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         (distance, away), (other, other_away) = first(points), second(points)
@@ -340,7 +340,7 @@ class Ball:
         if obstacles or grid is not None:
             paths = in_space(trajectories)
             clearance = path_clearance(paths, obstacles, grid=grid) - self.radius
-        free = clearance >= TOLERANCE
+        free = clearance >= PATH_TOLERANCE
         if cloud is not None:
             free &= cloud.covers(trajectories, self.radius)
         return Clearance(clearance, free)
@@ -350,7 +350,7 @@ class Ball:
     ) -> BoolArray:
         """Return (P, T) whether the ball touches nothing at the points of paths."""
         distance = signed_distance(in_space(trajectories), PackedObstacles.of(obstacles))
-        return distance - self.radius >= TOLERANCE
+        return distance - self.radius >= PATH_TOLERANCE
 
     def execution(self, trajectories: FloatArray, limit: float) -> tuple[BoolArray, FloatArray]:
         """Return that all can be executed, in no particular time: nothing limits a ball."""
@@ -370,7 +370,7 @@ def in_space(trajectories: FloatArray) -> FloatArray:
 def path_clearance(
     trajectories: FloatArray,
     obstacles: tuple[Obstacle, ...],
-    tolerance: float = TOLERANCE,
+    tolerance: float = PATH_TOLERANCE,
     grid: DistanceGrid | None = None,
 ) -> FloatArray:
     """Return the least distance (P,) to obstacles of paths (P, T, 3), straight between samples.
@@ -399,7 +399,7 @@ def path_clearance(
     path = np.repeat(np.arange(len(trajectories)), trajectories.shape[1] - 1)
     begin, end = (trajectories[:, s].reshape(-1, 3) for s in (slice(-1), slice(1, None)))
     first, last = distance[:, :-1].ravel(), distance[:, 1:].ravel()
-    for _ in range(_HALVINGS):
+    for _ in range(_MOST_HALVINGS):
         bound = (first + last - steepness * np.linalg.norm(end - begin, axis=1)) / 2
         open_ = bound < least[path] - tolerance
         if not open_.any():

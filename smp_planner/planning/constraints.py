@@ -1,6 +1,6 @@
-"""What a trajectory shall do: points, boxes, choices, poses and goal regions, Eq. (13) and (14).
+"""Constraints on trajectories: via-points, boxes, choices, poses, goal regions, Eq. (13), (14).
 
-Each constraint is met in two ways: in closed form, by conditioning the primitive, and by a cost
+Each constraint enters twice: in closed form, by conditioning the primitive, and through a cost
 that pulls on what conditioning leaves open. Which points or boxes are options of one constraint is
 a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
 """
@@ -55,7 +55,7 @@ TOLERANCE_STDS = 3.0
 
 _VIA_ITERATIONS = 8
 
-_CERTAIN = 1e-6
+_LEAST_STD = 1e-6
 """Extents, standard deviation that evidence is computed with where a primitive has none."""
 
 _ROUNDING = 1e-9
@@ -63,11 +63,11 @@ _ROUNDING = 1e-9
 
 
 class Constraint(Protocol):
-    """What a trajectory shall do at one or more phases."""
+    """Protocol of constraints on a trajectory at one or more phases."""
 
     @property
     def name(self) -> str:
-        """What the user calls it."""
+        """Name by which the user calls it."""
         ...
 
     @property
@@ -84,11 +84,11 @@ class Constraint(Protocol):
         ...
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return by how much (P,) trajectories (P, T, D) miss it; 0 if they do not."""
+        """Return the violation (P,) of trajectories (P, T, D), a distance; 0 if they satisfy it."""
         ...
 
     def slack(self, settings: PlanSettings) -> float:
-        """Return by how much it may be missed and still counts as met."""
+        """Return the largest violation that still counts as satisfied."""
         ...
 
 
@@ -164,7 +164,7 @@ class Exactly:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """The phase at which it holds."""
+        """Phase of the position or velocity."""
         return (self.phase,)
 
     def condition(self, primitive: ProMP, settings: PlanSettings) -> list[tuple[ProMP, float]]:
@@ -177,7 +177,7 @@ class Exactly:
         return None
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return the distance (P,) from the position; of a velocity nothing is said."""
+        """Return the distance (P,) from the position; 0 for a velocity."""
         if self.derivative:
             return np.zeros(len(trajectories))
         there = at_phases(trajectories, self.phase)[:, 0]
@@ -205,7 +205,7 @@ class Place:
     share: float
 
     def missed(self, points: FloatArray) -> FloatArray:
-        """Return by how much (...) points (..., D) miss the place; 0 if they do not."""
+        """Return the distance (...) of points (..., D) to the place; 0 within it."""
         if self.point is None:
             outside = box_offset(points, self.box.lower.numpy(), self.box.upper.numpy())
             return np.asarray(np.linalg.norm(outside, axis=-1))
@@ -226,7 +226,7 @@ class Place:
             noise = torch.full_like(value, (self.tolerance / TOLERANCE_STDS) ** 2)
         mean, covariance = primitive.marginal(phase)
         density = torch.distributions.MultivariateNormal(
-            mean, covariance + torch.diag(noise + _CERTAIN**2)
+            mean, covariance + torch.diag(noise + _LEAST_STD**2)
         )
         evidence = math.log(self.share) + float(density.log_prob(value))
         return primitive.condition(phase, value, noise), evidence
@@ -234,7 +234,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Passing:
-    """Places in the coordinates of the path, any of which will do at a phase.
+    """Alternative places that the path passes at a phase.
 
     Attributes:
         name: what the user calls it.
@@ -252,7 +252,7 @@ class Passing:
         return (self.phase,)
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return by how much (P,) trajectories (P, T, D) miss the nearest place."""
+        """Return the distance (P,) of trajectories (P, T, D) to the nearest place."""
         points = at_phases(trajectories, self.phase)[:, 0]
         return np.asarray(np.min([place.missed(points) for place in self.places], axis=0))
 
@@ -285,7 +285,7 @@ class Passing:
 
 @dataclass(frozen=True, eq=False)
 class Reaching:
-    """Regions of which the tool shall be in one when the trajectory ends.
+    """Goal regions, in one of which the tool is at the end of the trajectory.
 
     Attributes:
         goals: at least one region.
@@ -314,7 +314,7 @@ class Reaching:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """The end."""
+        """Phase of the end, 1."""
         return (1.0,)
 
     def distances(self, trajectories: FloatArray) -> FloatArray:
@@ -365,8 +365,8 @@ class Reaching:
         jacobian = self.robot.carried_points(posture, goal.point)[1] / GOAL_STD
         information = jacobian.T @ jacobian + np.eye(len(posture)) / POSTURE_STD**2
         noise = torch.from_numpy(np.linalg.inv(information))
-        tied = primitive.condition(1.0, torch.from_numpy(posture), (noise + noise.mT) / 2)
-        return [(tied, 0.0)]
+        posterior = primitive.condition(1.0, torch.from_numpy(posture), (noise + noise.mT) / 2)
+        return [(posterior, 0.0)]
 
     def slack(self, settings: PlanSettings) -> float:
         """Return the settings' `sigma`."""
@@ -389,11 +389,11 @@ class ToolPath:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """When the via-points are due."""
+        """Phases of the via-points."""
         return tuple(via.phase for via in self.via_points)
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return by how much (P,) m the via-point is missed that is missed most.
+        """Return the largest distance (P,) m to a via-point.
 
         Via-points are to be passed in their order: each is passed not before the one before it. Of
         all choices of moments in that order, the one whose worst miss is least counts.
@@ -479,7 +479,7 @@ class Poses:
 
     @property
     def phases(self) -> tuple[float, ...]:
-        """When the poses are due."""
+        """Phases of the poses."""
         return tuple(via.phase for via in self.via_poses)
 
     def condition(self, primitive: ProMP, settings: PlanSettings) -> list[tuple[ProMP, float]]:

@@ -30,7 +30,7 @@ def around_both(first: Workspace, second: Workspace) -> Workspace:
 
 
 class SceneMaps:
-    """The distance maps of one problem, each made once.
+    """Distance maps of one problem, each made once.
 
     Args:
         settings: kind of map, and how a network is trained.
@@ -43,7 +43,7 @@ class SceneMaps:
 
     @property
     def exact(self) -> bool:
-        """Whether the obstacles themselves are asked."""
+        """True if distances are those of the obstacles themselves, without a map."""
         return self._settings.map == "exact"
 
     def grid(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid | None:
@@ -88,7 +88,7 @@ class SceneMaps:
 
 
 def lowered(grid: DistanceGrid, other: OccupancyMap) -> DistanceGrid:
-    """Return a grid that knows of what another map knows, too, as far as it reaches."""
+    """Return the minimum of a grid and of another map, as far as that reaches."""
     values = grid.values.copy()
     other.fill(values, grid.origin, grid.spacing)
     return DistanceGrid(grid.origin, grid.spacing, values)

@@ -1,4 +1,4 @@
-"""Which of several ways trajectories go: signatures of paths among obstacles, and their groups.
+"""Homotopy classes of trajectories: signatures of paths among obstacles, and their groups.
 
 In the plane, the winding numbers of paths with common ends around the obstacles tell their homology
 classes apart, as the H-signature does, which is made of the same angles (Bhattacharya, Kumar &
@@ -155,7 +155,7 @@ def signatures_3d(
 
     This is a convention and not an invariant: all paths with common ends around bounded obstacles
     can be deformed into one another, and a path that is moved over an edge of the obstacle changes
-    its signature on the way although it touches nothing. With the default radii, all that is higher
+    its signature there although it touches nothing. With the default radii, all that is higher
     is over, however far aside.
 
     Args:
@@ -257,8 +257,8 @@ def _finite(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Float
         allowed in (None, size) for allowed, size in zip(shape, array.shape, strict=True)
     )
     if not matches:
-        wanted = tuple("any" if size is None else size for size in shape)
-        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+        expected = tuple("any" if size is None else size for size in shape)
+        raise ValueError(f"{name} must have shape {expected}, got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array}")
     return array

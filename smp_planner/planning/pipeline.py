@@ -1,8 +1,8 @@
 """The pipeline from problems to plans, Algorithm 1: condition, draw, adapt, assess, try again.
 
-Robots and paths of one's own go through it alike; they differ in how a `Problem` is made. Problems
-are planned in batches: particles that have equally many directions and are equally many in number
-are adapted together, with a leading dimension for each run of them.
+It is the same for robots and balls, which differ in how a `Problem` is made. Problems are planned
+in batches: particles that have equally many directions and are equally many in number are adapted
+together, with a leading dimension for each run of them.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Part:
 def condition(
     primitive: ProMP, constraints: Sequence[Constraint], settings: PlanSettings
 ) -> list[tuple[ProMP, float]]:
-    """Return what a primitive becomes when it is conditioned on constraints, in closed form.
+    """Return the posterior of a primitive conditioned on constraints, in closed form.
 
     The posterior of a Gaussian and a mixture of places is a mixture: one branch for each choice of
     options, its share π_h times the density of the place under the primitive. Branches that would
@@ -115,16 +115,16 @@ def condition(
     for constraint in constraints:
         grown = [
             (conditioned, weight + evidence)
-            for tied, weight in found
-            for conditioned, evidence in constraint.condition(tied, settings)
+            for posterior, weight in found
+            for conditioned, evidence in constraint.condition(posterior, settings)
         ]
         best = max(weight for _, weight in grown)
         found = [
-            (tied, weight - best)
-            for tied, weight in grown
+            (posterior, weight - best)
+            for posterior, weight in grown
             if weight - best > -math.log(2.0 * settings.particles)
         ]
-    return [(tied, math.exp(weight)) for tied, weight in found]
+    return [(posterior, math.exp(weight)) for posterior, weight in found]
 
 
 def conditioned_parts(
@@ -139,27 +139,27 @@ def conditioned_parts(
         prior: learned from demonstrations.
         problem: to be solved.
         settings: number of particles, and whether constraints are conditioned on.
-        width: factor of the prior's added freedom, at least 1.
+        width: factor of the prior's added standard deviation, at least 1.
 
     Raises:
         UnreachableError: no component reaches a goal.
     """
     constraints = problem.constraints if settings.modulation == "exact" else ()
-    tied: dict[int, list[tuple[ProMP, float]]] = {}
+    posteriors: dict[int, list[tuple[ProMP, float]]] = {}
     unreachable: UnreachableError | None = None
     for index, component in enumerate(prior.components(width)):
         try:
-            tied[index] = condition(component, constraints, settings)
+            posteriors[index] = condition(component, constraints, settings)
         except UnreachableError as error:
             unreachable = error
-    if not tied:
+    if not posteriors:
         assert unreachable is not None
         raise unreachable
-    shares = [float(prior.used.shares[index]) for index in tied]
+    shares = [float(prior.used.shares[index]) for index in posteriors]
     rng = np.random.default_rng(problem.seed)
     parts = []
     for (index, branches), count in zip(
-        tied.items(), shared_out(settings.particles, shares), strict=True
+        posteriors.items(), shared_out(settings.particles, shares), strict=True
     ):
         counts = shared_out(count, [share for _, share in branches])
         for number, ((primitive, _), drawn) in enumerate(zip(branches, counts, strict=True)):
@@ -172,7 +172,7 @@ def conditioned_parts(
 
 @dataclass(eq=False)
 class _Attempt:
-    """A problem on its way to a plan."""
+    """State of a problem that is being planned."""
 
     problem: Problem
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
@@ -190,9 +190,9 @@ def plan_problems(
 ) -> list[Plan]:
     """Return one plan for each problem; the same problem gives the same plan.
 
-    A problem without a good particle is tried again with twice the added freedom, as often as
-    `PlanSettings.retries` says; of tries that all fail, the first has the demonstrations' own
-    freedom and is taken. What is not adapted is not tried again.
+    A problem without a good particle is tried again with twice the added deviation, as often as
+    `PlanSettings.retries` says; of tries that all fail, the first, with the prior as learned, is
+    taken. What is not adapted is not tried again.
 
     Args:
         problems: to be solved.
@@ -235,7 +235,7 @@ def _draw(
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
         except UnreachableError:
-            # So wide a primitive may be led astray from a goal that it reached before.
+            # So wide a primitive may miss a goal that it reached before.
             if attempt.best is None:
                 raise
             attempt.done = True
@@ -276,7 +276,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
 def _good(
     runs: Runs, problems: Sequence[Problem], settings: PlanSettings, latent: Tensor
 ) -> BoolArray:
-    """Return which of whitened particles (B, P, r) are good as they are, (B, P)."""
+    """Return a mask (B, P) of the whitened particles (B, P, r) that are good as they are."""
     found = []
     for problem, primitive, weights in zip(
         problems, runs.primitives, runs.unwhiten(latent), strict=True

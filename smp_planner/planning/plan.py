@@ -1,4 +1,4 @@
-"""What a planner answers: `Plan`, a set of particles and what is known of each."""
+"""The result of a planner, `Plan`: a set of particles with their costs and the checks of each."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["Plan"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A set of P particles, each a whole trajectory, and what is known of each.
+    """A set of P particles, each a whole trajectory, with their costs and checks.
 
-    Lengths are m and coordinates rad for a robot; for paths of one's own both are in the unit of
+    Lengths are m and coordinates rad for a robot; for the user's own paths both are in the unit of
     the demonstrations.
 
     Attributes:
@@ -29,7 +29,7 @@ class Plan:
             a point cloud as far as the map that was learned of it knows, and whether the
             trajectory stays where it does.
         clearance: (P,) least distance to an obstacle, negative inside; infinity without any. What
-            is farther from a point cloud than 0.15 (m, or extents) is said to be that far.
+            is farther from a point cloud than 0.15 (m, or extents) counts as that far.
         missed: by how much (P,) each constraint is missed by its name ("start", "goal",
             "via_points"); 0 within a box or tolerance.
         passing: (P,) whether all constraints are met.

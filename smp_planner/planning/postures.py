@@ -14,12 +14,12 @@ from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["final_posture", "pose_chain", "reaching"]
 
-POSTURE_REACHES = 0.02
+REGION_TOLERANCE = 0.02
 """Distance, m, from a region up to which a posture is taken to reach it."""
 
 _ITERATIONS = 30
 _DAMPING = 1e-6
-_REACHED = 1e-3
+_POSITION_TOLERANCE = 1e-3
 """Metres up to which a point is taken to be where it should."""
 
 
@@ -64,7 +64,7 @@ def reaching(
     turns = np.where(robot.endless, np.round((q - close) / (2 * np.pi)), 0.0)
     turned = q - 2 * np.pi * turns
     within = (turned >= robot.lower) & (turned <= robot.upper)
-    return np.where(within, turned, q)[error < _REACHED]
+    return np.where(within, turned, q)[error < _POSITION_TOLERANCE]
 
 
 def _moved(
@@ -83,7 +83,7 @@ def _moved(
 def pose_chain(poses: Sequence[FloatArray], near: ArrayLike) -> FloatArray:
     """Return configurations (H,6) rad that take poses one after the other.
 
-    A pose leaves an arm of six joints no freedom but the choice of a branch: that nearest to a
+    A pose leaves an arm of six joints nothing but the choice of a branch: that nearest to a
     given configuration is taken, and kept.
 
     Args:
@@ -142,7 +142,7 @@ def final_posture(
         error = float(region.distance(robot.carried_points(posture, region.point)[0]))
         nearest = min(nearest, error)
         energy = float((posture - mean) @ precision @ (posture - mean))
-        if error <= POSTURE_REACHES and (best is None or energy < best[0]):
+        if error <= REGION_TOLERANCE and (best is None or energy < best[0]):
             best = energy, posture
     if best is None:
         named = ", ".join(f"{np.round(region.center, 3)}" for region in regions)

@@ -1,4 +1,4 @@
-"""The prior of a planner: primitives learned from demonstrations, and their added freedom."""
+"""The prior of a planner: primitives learned from demonstrations, with added smooth covariance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Prior", "learn_prior"]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What was learned from demonstrations.
+    """Primitives learned from demonstrations.
 
     Attributes:
         single: one Gaussian for all demonstrations.
@@ -44,7 +44,7 @@ class Prior:
         return ProMPMixture((self.single,), torch.ones(1))
 
     def components(self, width: float = 1.0) -> list[ProMP]:
-        """Return the components of `used`, with `width` (at least 1) times the added freedom."""
+        """Return the components of `used`, with `width` (at least 1) times the added deviation."""
         return [self._widened(component, width) for component in self.used.components]
 
     def _widened(self, primitive: ProMP, width: float) -> ProMP:

@@ -1,4 +1,4 @@
-"""What a planner is asked: `Problem`; and what answers: the `Planner` protocol."""
+"""The planning problem, `Problem`, and the protocol of planners, `Planner`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _Kind = TypeVar("_Kind")
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A stretch of the trajectory, and what must stay clear of what meanwhile.
+    """A stretch of the trajectory, with the body and obstacles that must stay clear meanwhile.
 
     Attributes:
         first: phase at which it begins.
@@ -52,21 +52,21 @@ class Stage:
             raise ValueError(f"a Stage must lie in [0, 1], got {self.first} to {self.last}")
 
     def steps(self, count: int) -> slice:
-        """Return which of `count` equal steps of phase cover the stage, its ends included."""
+        """Return the slice of `count` equal steps of phase that covers the stage, ends included."""
         last = count - 1
-        # The margin is for phases that rounding puts a hair beyond a step.
+        # The margin is for phases that rounding puts just beyond a step.
         begin = int(np.floor(self.first * last + 1e-9))
         return slice(begin, int(np.ceil(self.last * last - 1e-9)) + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One scene to plan in.
+    """A planning problem: body, constraints, and obstacles by stages.
 
     Attributes:
         body: what moves, with all that it carries in the end.
-        constraints: what the trajectory shall do, in the order in which the prior is conditioned.
-        stages: what must stay clear of what at which phases, at least one.
+        constraints: on the trajectory, in the order in which the prior is conditioned.
+        stages: bodies and obstacles by stretches of the phase, at least one.
         seed: from which all randomness of the plan is drawn.
         movable: those obstacles that are no fixtures of the task; on which side of them
             trajectories pass tells homotopy classes apart.
@@ -104,7 +104,7 @@ class Problem:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """All that must not be touched in the end."""
+        """Obstacles of the last stage."""
         last = [stage.obstacles for stage in self.stages if stage.last == 1.0]
         return tuple(dict.fromkeys(obstacle for of_stage in last for obstacle in of_stage))
 
@@ -206,7 +206,7 @@ def arm_problem(
 
 @runtime_checkable
 class Planner(Protocol):
-    """Anything that answers problems with plans."""
+    """Protocol of planners."""
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan."""

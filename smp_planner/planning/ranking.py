@@ -1,4 +1,4 @@
-"""Which particle is best: what is demanded comes first, then likeness to the demonstrations."""
+"""Ranking of particles: feasibility comes first, then the density under the prior."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def rank(
 ) -> NDArray[np.int64]:
     """Return the place (P,) of each particle, the best having 0.
 
-    First come those that meet more of what is demanded: free of collisions, then meeting all
-    constraints, then executable. Among equals the merit decides, minus the negative log-prior, less
+    First come those that satisfy more of what is demanded: free of collisions, then meeting all
+    constraints, then executable. Among equals the merit decides, the log-prior less penalties for
     what is missing of `SAFE_CLEARANCE` and of the constraints.
 
     Args:
@@ -39,9 +39,9 @@ def rank(
     """
     demanded = 4.0 * free + 2.0 * passing + 1.0 * executable
     unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
-    likeness = costs["prior"] if "prior" in costs else costs["length"]
+    dissimilarity = costs["prior"] if "prior" in costs else costs["length"]
     # One unit of the prior is worth a tenth of a millimetre of missing clearance.
-    merit = -likeness - 1e4 * unsafe
+    merit = -dissimilarity - 1e4 * unsafe
     for value in missed.values():
         merit = merit - 1e3 * value
     order = np.lexsort((merit, demanded))[::-1]

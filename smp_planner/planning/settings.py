@@ -10,14 +10,14 @@ __all__ = ["PlanSettings", "PriorSettings"]
 
 
 class PriorSettings(BaseModel):
-    """How a primitive is learned from demonstrations.
+    """Settings of learning a primitive from demonstrations.
 
     Lengths are rad for a robot, and extents of the demonstrations for paths in the plane or in
     space (`smp_planner.library.frame`).
 
     Attributes:
-        smooth_std: freedom added to what the demonstrations teach; see `ProMP.fit`.
-        smooth_length_scale: of that freedom, l in phase. Trajectories come out smoother than their
+        smooth_std: standard deviation added to what demonstrations teach; see `ProMP.fit`.
+        smooth_length_scale: of that addition, l in phase. Trajectories come out smoother than their
             weights: away from the ends as if it were sqrt(l^2 + 2 / (K - 3)^2).
         basis_functions: K of the primitive, 1 / (K - 3) of the phase apart.
         modes: how many groups the demonstrations fall into; None lets them decide
@@ -46,9 +46,9 @@ class PlanSettings(BaseModel):
     Attributes:
         particles: P, size of the set.
         samples: T of the trajectories in a plan.
-        map: "exact" asks the obstacles themselves; "shapes" composes networks trained once per
+        map: "exact" takes the obstacles themselves; "shapes" composes networks trained once per
             obstacle shape; "points" trains one network from labelled points of the scene, the
-            paper's way (Eq. (12)), which takes seconds.
+            paper's method (Eq. (12)), which takes seconds.
         map_points: how many points "points" learns from.
         map_steps: of that training.
         planning_steps: steps of phase at which costs are evaluated.
@@ -59,12 +59,13 @@ class PlanSettings(BaseModel):
         sigma: tails of the boxes of goals and via-points, Eq. (13) and (14); what misses its place
             by no more has reached it.
         modulation: "exact" conditions the primitive in closed form on what the constraints allow,
-            before costs narrow it down; "likelihood" leaves all to the costs, the paper's way.
+            before costs narrow it down; "likelihood" leaves all to the costs, as in the paper.
         via_share: half width of the box around a tool's via-point, as a share of its tolerance.
         velocity_weight: of the excess over the joint velocity limits.
         limit_weight: of the excess over the joint limits.
         duration_limit: s, within which an executable trajectory must be feasible.
-        retries: how often a problem without a good particle is tried again with twice the freedom.
+        retries: how often a problem without a good particle is tried again, each time with twice
+            the added deviation.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

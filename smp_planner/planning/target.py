@@ -1,4 +1,4 @@
-"""What a prior is adapted to: the weighted costs of a problem, Eq. (7), and of a batch of them."""
+"""Targets of adaptation: the weighted costs of a problem, Eq. (7), and of a batch of them."""
 
 from __future__ import annotations
 

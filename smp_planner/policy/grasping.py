@@ -1,4 +1,4 @@
-"""What demonstrations teach about grasping on the way: when the hand closes, and how it gets there.
+"""Learning of a grasp from demonstrations: the phase at which the hand closes, and its approach.
 
 Seen from the object's pose at the start, demonstrations of a grasp agree where it matters, though
 the object stood elsewhere in each. That stretch before the hand closes is what has to be repeated:
@@ -22,12 +22,12 @@ AGREEMENT = 0.002
 """m; poses agree where they are within this distance of their mean in all demonstrations."""
 
 VIA_POSES = 5
-"""How many poses are taken from the stretch in which demonstrations agree."""
+"""Number of poses taken from the stretch in which demonstrations agree."""
 
 
 @dataclass(frozen=True)
 class Grasping:
-    """A grasp on the way, as demonstrated.
+    """A demonstrated grasp.
 
     Attributes:
         phases: (H,) in [0, 1], of the poses; the hand closes at the last of them.

@@ -1,4 +1,4 @@
-"""From what an observation says to the problem that a planner solves."""
+"""The planning problem that an observation describes."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ RELEASE_HEIGHT = (0.005, 0.035)
 """Least and greatest height of the object's lowest point above the rim when it is let go, m."""
 
 PAD_RELEASE_HEIGHT = (0.012, 0.035)
-"""The same above a pad, m: the spheres that cover the object stand out of it by 9 mm, and from
-higher up it would tip over."""
+"""Least and greatest height of that point above a pad, m: the object's spheres stand out of it by
+9 mm, and from higher up it would tip over."""
 
 RELEASE_HALF_WIDTH = 0.02
 """Half width of the square above the goal's middle in which the object's centre is let go, m."""
 
 
 END_HALF_WIDTH = 0.01
-"""Half width of the cube round the end of a stroke in which the pen shall stop, m."""
+"""Half width of the cube round the end of a stroke in which the pen stops, m."""
 
 CHECKPOINT_TOLERANCE = 0.036
-"""How near a plan leads the pen to the checkpoints of a stroke, m; the task allows 4 cm."""
+"""Distance to the checkpoints of a stroke that a plan allows the pen, m; the task allows 4 cm."""
 
 LIFT_HALF_WIDTH = 0.01
 """Half width of the cube about the target in which the lifted object's centre ends, m."""
@@ -61,7 +61,7 @@ def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalReg
 
 
 def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping) -> Problem:
-    """Return the problem of grasping an object on the way and carrying it to a target.
+    """Return the problem of grasping an object and carrying it to a target.
 
     Until the demonstrated contact begins, the object is an obstacle; then the hand may touch it;
     once the hand has closed, it is carried, and may touch what it stands on.
@@ -158,7 +158,7 @@ def problem_from(
         seed: of the plan's randomness.
         phases: (`STROKE_POINTS`,) when a stroke's checkpoints are due, from `checkpoint_phases`;
             by default at equal steps.
-        grasping: what demonstrations teach about a grasp on the way; see `learn_grasping`.
+        grasping: what demonstrations teach about a grasp; see `learn_grasping`.
 
     Raises:
         ValueError: the task is to grasp an object, and `grasping` is None.

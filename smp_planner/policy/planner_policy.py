@@ -34,12 +34,12 @@ Actions = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Execution:
-    """What the policy remembers of one episode.
+    """State of the policy in one episode.
 
     Attributes:
         plan: the plan that was made.
         particle: which of its particles is executed.
-        track: that particle's trajectory on its way.
+        track: that particle's trajectory with its timing.
         digest: fingerprint of the observation that was planned from.
     """
 
@@ -50,7 +50,7 @@ class Execution:
 
 
 class PlannerPolicy:
-    """A planner that acts.
+    """A policy that executes the plans of a planner.
 
     Its actions are joint velocities: observations of an environment that takes actions for
     something else (``control="end_effector"``) are refused.
@@ -203,7 +203,7 @@ class PlannerPolicy:
         return problem_from(decoded, digest, self._phases, grasping=self._grasping)
 
     def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
-        """Return one particle of a plan on its way, as the policy would execute it.
+        """Return the timed trajectory of one particle of a plan, as the policy would execute it.
 
         Args:
             plan: of this policy's planner.
@@ -260,7 +260,7 @@ class PlannerPolicy:
         """Write method, settings, demonstrations and seed to one file, without pickle.
 
         Raises:
-            ValueError: the policy was given its planner, of which no method is known.
+            ValueError: the policy was made from a planner, not from a method.
         """
         if self._made_by is None:
             raise ValueError(
@@ -280,7 +280,7 @@ class PlannerPolicy:
 
         Raises:
             ValueError: the file is damaged, not a policy, or of another version, its method is
-                unknown here, or one's own and `factory` is not given.
+                unknown here, or the user's own and `factory` is not given.
         """
         saved = read_policy(Path(path))
         if factory is not None:

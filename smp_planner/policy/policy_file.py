@@ -23,13 +23,13 @@ __all__ = ["FORMAT", "VERSION", "SavedPolicy", "read_policy", "write_policy"]
 FORMAT = "smp_planner.policy.planner_policy"
 VERSION = 1
 
-_HEADER = "policy.json"
+_HEADER_FILE = "policy.json"
 _DEMONSTRATIONS = "demonstrations.npz"
 
 
 @dataclass(frozen=True)
 class SavedPolicy:
-    """What makes a policy again.
+    """Contents of a policy file.
 
     Attributes:
         method: spec of its method; see `smp_planner.planners.registry.resolve`.
@@ -58,13 +58,13 @@ def write_policy(path: Path, policy: SavedPolicy) -> None:
         policy.demonstrations.save(learned_from)
         complete = Path(folder) / "policy.zip"
         with zipfile.ZipFile(complete, "w") as archive:
-            archive.writestr(_HEADER, json.dumps(header, indent=1))
+            archive.writestr(_HEADER_FILE, json.dumps(header, indent=1))
             archive.write(learned_from, _DEMONSTRATIONS)
         os.replace(complete, path)
 
 
 def read_policy(path: Path) -> SavedPolicy:
-    """Return what a file holds of a policy.
+    """Return the contents of a policy file.
 
     Raises:
         FileNotFoundError: no such file.
@@ -72,7 +72,7 @@ def read_policy(path: Path) -> SavedPolicy:
     """
     try:
         with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
-            header = json.loads(archive.read(_HEADER))
+            header = json.loads(archive.read(_HEADER_FILE))
             demonstrations = Demonstrations.load(archive.extract(_DEMONSTRATIONS, folder))
     except (zipfile.BadZipFile, KeyError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a saved policy or is damaged: {error}") from error

@@ -1,8 +1,8 @@
-"""From a trajectory to actions, and the gripper's events on the way.
+"""Trajectory tracking: actions from a trajectory, and the gripper's events along it.
 
 The environments integrate an action into a joint reference that the motors follow, so a
-trajectory is executed by asking, at each control step, for the difference between where the
-reference shall be and where it is. Nothing accumulates: a step that was cut off at the limits is
+trajectory is executed by commanding, at each control step, the difference between where the
+reference should be and where it is. Nothing accumulates: a step that was cut off at the limits is
 caught up by the next.
 """
 
@@ -24,7 +24,7 @@ SETTLING_STEPS = 4
 """Control steps between arriving and opening the hand, so that the object drops from rest."""
 
 CLOSING_STEPS = 20
-"""Control steps for which the arm stands still on its way while the hand closes."""
+"""Control steps for which the arm stands still while the hand closes."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ def gripper_event(gripper: FloatArray) -> GripperEvent | None:
 
 @dataclass(frozen=True)
 class Track:
-    """A trajectory on its way through an episode.
+    """A trajectory with its timing in an episode.
 
     Attributes:
         trajectory: (T, 6) rad, at equal steps of phase.
         duration: s, in which it is executed.
-        event: what the gripper does on the way, if anything.
+        event: of the gripper, if there is one.
         first_step: environment step at which execution began.
     """
 

@@ -9,7 +9,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from smp_planner.experiments.table_two.report import TITLES
+from smp_planner.experiments.table_two.report import METHOD_TITLES
 
 __all__ = ["draw_table"]
 
@@ -81,7 +81,7 @@ def draw_table(summary: Mapping[str, Any], path: Path) -> None:
         )
     figure.suptitle(
         "Intervals of 95 %. Dashed: noise floor of 42 draws of the unadapted primitive. "
-        "Hollow: one Gaussian for both ways.",
+        "Hollow: one Gaussian for both modes.",
         fontsize=9.5,
         color="#4b5563",
         x=0.01,
@@ -92,7 +92,7 @@ def draw_table(summary: Mapping[str, Any], path: Path) -> None:
 
 def _dress(axes: Any, methods: list[str], column: int, title: str) -> None:
     axes.set_ylim(len(methods) - 0.4, -0.6)
-    axes.set_yticks(range(len(methods)), [TITLES[m] for m in methods] if column == 0 else [])
+    axes.set_yticks(range(len(methods)), [METHOD_TITLES[m] for m in methods] if column == 0 else [])
     axes.tick_params(labelsize=8.5, length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.grid(axis="x", color="#e5e7eb", lw=0.8)

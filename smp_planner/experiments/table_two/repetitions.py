@@ -68,7 +68,7 @@ METHODS = (
     "rrt_connect",
 )
 """Rows of each task; those that end in ``_matched`` keep one Gaussian for all demonstrations, its
-moments matched to them, as the paper's baselines do, and are of tasks with several ways only."""
+moments matched to them, as the paper's baselines do, and are of tasks with several modes only."""
 
 SAMPLES = 200
 """Samples of each trajectory, as in plans, at which lengths and smoothness are measured."""
@@ -78,7 +78,7 @@ _UNREACHABLE = "goal out of reach"
 
 @dataclass(frozen=True, order=True)
 class RepetitionKey:
-    """What identifies a repetition.
+    """Identifier of a repetition.
 
     Attributes:
         repetition: seed of the policy.
@@ -93,12 +93,12 @@ class RepetitionKey:
 
 @dataclass(frozen=True)
 class RepetitionRow:
-    """What is kept of a repetition; P particles. Lists are empty in rows of the noise floor.
+    """Record of a repetition; P particles. Lists are empty in rows of the noise floor.
 
-    Similarity and lengths are those of the ways of the carried point (the object's centre or the
+    Similarity and lengths are those of the paths of the carried point (the object's centre or the
     pen's tip), in metres, against `REFERENCE_DRAWS` draws of the unadapted primitive: conditioned
-    on start, goal and via-points of the scene, with the freedom that all methods of the task start
-    from.
+    on start, goal and via-points of the scene, with the added covariance that all methods of
+    the task start from.
 
     Attributes:
         repetition: see `RepetitionKey`, as the next two.
@@ -109,7 +109,7 @@ class RepetitionRow:
         steps: P, environment steps.
         planned: P, whether the planner's own check finds it collision-free, executable and ending
             in the goal.
-        lengths: P, m, of the planned way.
+        lengths: P, m, of the planned path.
         free_waypoints: share of the collision-free configurations of all trajectories together.
         all: similarity of all particles; None if there are none.
         successful: of those that succeeded in the physics; None if none did.
@@ -137,7 +137,7 @@ class RepetitionRow:
 
     @property
     def key(self) -> RepetitionKey:
-        """Which repetition this is."""
+        """Identifier of the repetition."""
         return RepetitionKey(self.repetition, self.task, self.method)
 
 

@@ -18,7 +18,7 @@ from smp_planner.experiments.table_two.scenes import RULE, load_scenes
 
 __all__ = ["markdown", "paper_rows", "summarise", "write_report"]
 
-TITLES = {
+METHOD_TITLES = {
     "floor": "noise floor",
     "promp": "ProMP, not adapted",
     "smp": "SMP",
@@ -30,9 +30,9 @@ TITLES = {
     "promp_diff_matched": "ProMP-Diff, one Gaussian",
     "rrt_connect": "RRT-Connect",
 }
-"""What the methods are called in tables and figures."""
+"""Names of the methods in tables and figures."""
 
-_SIMILARITY = ("wasserstein", "frechet", "mmd", "mean_length", "min_length", "smoothness")
+_METRICS = ("wasserstein", "frechet", "mmd", "mean_length", "min_length", "smoothness")
 _PAPER_FILE = "paper_table_two.json"
 
 Estimate = dict[str, float | int]
@@ -60,9 +60,7 @@ def _of_method(rows: Sequence[RepetitionRow]) -> dict[str, Any]:
     }
     for name in ("all", "successful", "floor"):
         found = [m for row in rows if (m := getattr(row, name)) is not None]
-        summary[name] = {
-            metric: _mean([getattr(m, metric) for m in found]) for metric in _SIMILARITY
-        }
+        summary[name] = {metric: _mean([getattr(m, metric) for m in found]) for metric in _METRICS}
     return summary
 
 
@@ -139,7 +137,7 @@ def _lines(titles: Iterable[str], rows: Iterable[tuple[str, Iterable[str]]]) -> 
     """Return a table in Markdown, a row for each method and its cells."""
     header = ["method", *titles]
     lines = [" | ".join(header), "|".join(["---"] * len(header))]
-    lines += [" | ".join((TITLES[method], *cells)) for method, cells in rows]
+    lines += [" | ".join((METHOD_TITLES[method], *cells)) for method, cells in rows]
     return [f"| {lines[0]} |", f"|{lines[1]}|", *(f"| {line} |" for line in lines[2:])]
 
 
@@ -217,7 +215,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
 def _write_repetitions(path: Path, rows: Sequence[RepetitionRow]) -> None:
     plain = ("task", "method", "repetition")
     counted = ("free_waypoints", "modes", "entropy", "planning_time")
-    parts = [(part, metric) for part in ("all", "successful", "floor") for metric in _SIMILARITY]
+    parts = [(part, metric) for part in ("all", "successful", "floor") for metric in _METRICS]
     header = [*plain, "executed", "succeeded", "planned", *counted]
     header += [f"{part}_{metric}" for part, metric in parts]
     body = []

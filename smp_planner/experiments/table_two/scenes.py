@@ -37,14 +37,14 @@ __all__ = [
 ]
 
 SCENES_FILE = "table_two_scenes.json"
-"""Where the scenes are in the folder ``experiments`` of the packaged data."""
+"""File of the scenes in the folder ``experiments`` of the packaged data."""
 
 PRIOR: dict[str, Any] = {"basis_functions": 15, "smooth_length_scale": 0.2}
 """Settings of the primitive that all methods share, on every task; 15 is the paper's K."""
 
 
 def prior_settings(task: str) -> PriorSettings:
-    """Return how the prior is learned that all methods share on a task."""
+    """Return the settings of the prior that all methods share on a task."""
     own = task_settings("smp", task)
     return PriorSettings.model_validate(
         PRIOR | {name: own[name] for name in ("smooth_std",) if name in own}
@@ -59,14 +59,14 @@ def shared_prior(task: str) -> Prior:
 
 DIFFICULTY = "medium"
 MOST_SEEDS = 200
-LEAST_SHARE = 0.1
+LEAST_SUCCESS_SHARE = 0.1
 
 RULE = (
     f"the first tuning seed of difficulty {DIFFICULTY} in which the mean of the conditioned "
-    f"primitive collides, while smp and each baseline, with a component of its own for each way, "
-    f"plans at least {LEAST_SHARE:.0%} of its particles with success (policy seed 0)"
+    f"primitive collides, while smp and each baseline, with a component of its own for each mode, "
+    f"plans at least {LEAST_SUCCESS_SHARE:.0%} of its particles with success (policy seed 0)"
 )
-"""What a scene must be. Where a method had no successful trajectory, its similarity could not be
+"""Conditions on a scene. Where a method had no successful trajectory, its similarity could not be
 compared over those; the rule asks the same of all methods."""
 
 _FORMAT_VERSION = 1
@@ -77,8 +77,8 @@ def _mean_collides(prior: Prior, policy: PlannerPolicy, observation: Any) -> boo
     problem = policy.problem(observation)
     means = []
     for component in prior.components():
-        (tied, _), *_ = condition(component, problem.constraints, PlanSettings())
-        means.append(tied.trajectory(tied.mean, 200).numpy())
+        (posterior, _), *_ = condition(component, problem.constraints, PlanSettings())
+        means.append(posterior.trajectory(posterior.mean, 200).numpy())
     return not free_waypoints(problem, np.array(means)).all(axis=1).any()
 
 
@@ -87,7 +87,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
-        methods: of which each must succeed with `LEAST_SHARE` of its particles.
+        methods: of which each must succeed with `LEAST_SUCCESS_SHARE` of its particles.
 
     Raises:
         RuntimeError: none of the first `MOST_SEEDS` seeds is such a scene.
@@ -100,7 +100,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
         for seed in range(MOST_SEEDS):
             observation, _ = env.reset(seed=seed)
             if _mean_collides(prior, policies[0], observation) and all(
-                _share(policy, observation) >= LEAST_SHARE for policy in policies
+                _share(policy, observation) >= LEAST_SUCCESS_SHARE for policy in policies
             ):
                 return sample_scene(task, DIFFICULTY, seed)
     finally:
@@ -109,7 +109,7 @@ def choose_scene(task: str, methods: Sequence[str]) -> Scene:
 
 
 def _share(policy: PlannerPolicy, observation: Any) -> float:
-    """Return the share of particles that the planner judges a success."""
+    """Return the share of particles that succeed by the planner's exact check."""
     plan = policy.plan(observation)
     return float(plan.good.mean())
 

@@ -1,4 +1,4 @@
-"""The shortest way through layers of configurations, one of each in turn."""
+"""Search for a short path through layers of configurations, one of each in turn."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from smp_gym.arrays import FloatArray
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 
-__all__ = ["way_through"]
+__all__ = ["path_through"]
 
 _PREDECESSORS = 4
-"""From so many configurations of a layer, at most, a straight edge to each of the next is tried."""
+"""Configurations of a layer, at most, from which a straight edge to each of the next is tried."""
 
 _ROOTS = 4
-"""From so many configurations of a layer, at most, a tree search is tried."""
+"""Configurations of a layer, at most, from which a tree search is tried."""
 
 
-def way_through(
+def path_through(
     start: FloatArray,
     layers: Sequence[FloatArray],
     checker: EdgeChecker,
@@ -45,7 +45,7 @@ def way_through(
         One path (V,n) rad per layer, each beginning where the one before it ends.
     """
     nodes, costs = start[None], np.zeros(1)
-    ways: list[list[tuple[int, FloatArray]]] = []
+    arrivals: list[list[tuple[int, FloatArray]]] = []
     for layer in layers:
         ahead = layer[checker.configurations_free(layer)]
         if not len(ahead):
@@ -60,7 +60,7 @@ def way_through(
         if len(joined):
             chosen = previous[joined, free[joined].argmax(axis=1)]
             pairs = zip(chosen.tolist(), joined.tolist(), strict=True)
-            ways.append([(i, np.stack([nodes[i], ahead[j]])) for i, j in pairs])
+            arrivals.append([(i, np.stack([nodes[i], ahead[j]])) for i, j in pairs])
             nodes, costs = ahead[joined], totals[joined, chosen]
             continue
         for i in np.argsort(totals.min(axis=0))[:_ROOTS].tolist():
@@ -69,11 +69,11 @@ def way_through(
                 break
         else:
             return None
-        ways.append([(i, path)])
+        arrivals.append([(i, path)])
         nodes, costs = path[-1:], np.zeros(1)
     index = int(costs.argmin())
     chain: list[FloatArray] = []
-    for way in reversed(ways):
-        index, path = way[index]
+    for of_layer in reversed(arrivals):
+        index, path = of_layer[index]
         chain.append(path)
     return chain[::-1]

@@ -1,6 +1,6 @@
 """`rrt_connect`: RRT-Connect in joint space, with shortcuts and smoothing. The sampling baseline.
 
-What one would take who has no demonstrations to keep to: they only lend the postures in which a
+The choice of a user without demonstrations to keep to: they only give the postures in which a
 place is reached. Randomness comes from the problem's seed and budgets are counts, so a plan depends
 neither on the machine nor on what was planned before.
 """
@@ -20,8 +20,8 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.collision.verification import TOLERANCE, minimum_duration
-from smp_planner.planners.rrt_connect.layered_search import way_through
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, minimum_duration
+from smp_planner.planners.rrt_connect.layered_search import path_through
 from smp_planner.planners.rrt_connect.shortcutting import (
     path_length,
     shortcut,
@@ -42,7 +42,7 @@ from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 __all__ = ["RRTConnectPlanner", "RRTConnectSettings"]
 
 _CONTROL_POINTS = (7, 10, 14, 20, 28, 40, 56, 80)
-"""Of the splines that are tried, from smooth to true to the path."""
+"""Control points of the splines that are tried, from smooth to true to the path."""
 
 _LIFT_OFF = 0.03
 """Metres by which the hand goes straight up with what it has grasped."""
@@ -63,7 +63,7 @@ class RRTConnectSettings(BaseModel):
         postures: how many configurations are tried for each goal or via-point.
         posture_spread: rad, how far around the demonstrations' last configurations goal
             configurations are sought.
-        branches: how many ways to take the via-poses are tried.
+        branches: how many chains of configurations at the via-poses are tried.
         shortcuts: iterations of shortcutting.
         duration_limit: s, within which an executable trajectory must be feasible.
     """
@@ -71,7 +71,7 @@ class RRTConnectSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(default=4, ge=1)
-    margin: float = Field(default=0.005, ge=TOLERANCE, allow_inf_nan=False)
+    margin: float = Field(default=0.005, ge=CLEARANCE_TOLERANCE, allow_inf_nan=False)
     iterations: int = Field(default=5_000, ge=1)
     step: float = Field(default=0.5, gt=0.0, allow_inf_nan=False)
     postures: int = Field(default=64, ge=1)
@@ -164,7 +164,7 @@ class _Search:
     def checker(
         self, ends: Sequence[FloatArray], first: float = 0.0, last: float = 1.0
     ) -> EdgeChecker:
-        """Return what is free in a stretch of the phase.
+        """Return the collision check of a stretch of the phase.
 
         Args:
             ends: of each layer (C,6) rad one configuration should keep the margin; where all of one
@@ -174,7 +174,7 @@ class _Search:
         """
         stages = [s for s in self.problem.stages if s.first < last and s.last > first]
         bodies = [(s.body.model, s.obstacles) for s in stages if isinstance(s.body, RobotBody)]
-        for margin in (self.settings.margin, TOLERANCE):
+        for margin in (self.settings.margin, CLEARANCE_TOLERANCE):
             checker = EdgeChecker.of_all(bodies, margin)
             if all(checker.configurations_free(layer).any() for layer in ends):
                 break
@@ -209,17 +209,17 @@ class _Search:
         """Return a trajectory (T,6) rad from the start through all layers, or None."""
         s, start = self.settings, self.problem.start
         checker = self.checker([start[None], *layers])
-        # Each search has its own half of the configurations, so that not all find the same way.
+        # Each search has its own half of the configurations, so that not all find the same path.
         halves = [layer[rng.permutation(len(layer))[: (len(layer) + 1) // 2]] for layer in layers]
-        way = way_through(start, halves, checker, rng, iterations=s.iterations, step=s.step)
-        if way is None:
+        found = path_through(start, halves, checker, rng, iterations=s.iterations, step=s.step)
+        if found is None:
             return None
-        pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in way]
+        pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in found]
         path = np.concatenate([start[None], *(piece[1:] for piece in pieces)])
         return _timed(path, SAMPLES, checker, s.duration_limit, self.passes)
 
     def branches(self, rng: np.random.Generator) -> Iterator[FloatArray]:
-        """Yield ways (H,6) rad to take the via-poses that are free from one to the next.
+        """Yield configurations (H,6) rad at the via-poses, free from one to the next.
 
         First that nearest to what was demonstrated, then those nearest to random ones.
         """
@@ -236,7 +236,7 @@ class _Search:
                 yield chain
 
     def by_poses(self, rng: np.random.Generator) -> FloatArray | None:
-        """Return a trajectory (T,6) rad that takes the via-poses on the way to a goal, or None."""
+        """Return a trajectory (T,6) rad that takes the via-poses and ends in a goal, or None."""
         for chain in self.branches(rng):
             trajectory = self.along(chain, rng)
             if trajectory is not None:
@@ -244,7 +244,7 @@ class _Search:
         return None
 
     def along(self, chain: FloatArray, rng: np.random.Generator) -> FloatArray | None:
-        """Return a trajectory (T,6) rad that takes the via-poses in one way (H,6), or None."""
+        """Return a trajectory (T,6) rad with a chain (H,6) at the via-poses, or None."""
         problem, limit = self.problem, self.settings.duration_limit
         first, last = problem.via_poses[0].phase, problem.via_poses[-1].phase
         before, after = round(first * (SAMPLES - 1)), round(last * (SAMPLES - 1))
@@ -295,7 +295,7 @@ class RRTConnectPlanner:
     Of several solutions the shortest is best.
 
     Args:
-        demonstrations: lend the postures in which a place is reached, and nothing else.
+        demonstrations: give the postures in which a place is reached, and nothing else.
         settings: of `RRTConnectSettings` by name; the rest keep their defaults.
 
     Raises:

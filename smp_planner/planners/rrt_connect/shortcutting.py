@@ -49,23 +49,23 @@ def _shortcut(world, path, count, draws):
     """Shorten `path` (V,n), of which the first `count` rows are used; return how many are left."""
     scratch = new_scratch(world)
     joints = path.shape[1]
-    way = np.empty(path.shape[0])
+    arc_length = np.empty(path.shape[0])
     ends = np.empty((2, joints))
     segment = np.empty(2, np.int64)
     count = _without_needless_corners(world, scratch, path, count)
     for d in range(draws.shape[0]):
         if count < 3:
             break
-        way[0] = 0.0
+        arc_length[0] = 0.0
         for v in range(1, count):
-            way[v] = way[v - 1] + _distance(path[v - 1], path[v])
+            arc_length[v] = arc_length[v - 1] + _distance(path[v - 1], path[v])
         for e in range(2):
-            target = (min(draws[d]) if e == 0 else max(draws[d])) * way[count - 1]
+            target = (min(draws[d]) if e == 0 else max(draws[d])) * arc_length[count - 1]
             v = 0
-            while v < count - 2 and way[v + 1] < target:
+            while v < count - 2 and arc_length[v + 1] < target:
                 v += 1
             segment[e] = v
-            share = (target - way[v]) / max(way[v + 1] - way[v], 1e-12)
+            share = (target - arc_length[v]) / max(arc_length[v + 1] - arc_length[v], 1e-12)
             ends[e] = path[v] + share * (path[v + 1] - path[v])
         first, last = segment[0], segment[1]
         if first == last or not edge_is_free(world, scratch, ends[0], ends[1]):
@@ -123,7 +123,7 @@ def _checked_path(path: ArrayLike) -> FloatArray:
 
 
 def minimum_jerk(phase: ArrayLike) -> FloatArray:
-    """Return the share of the way done at phases in [0, 1], from rest to rest.
+    """Return the share of the path length at phases in [0, 1], from rest to rest.
 
     Flash & Hogan 1985: the polynomial of least integrated squared jerk.
     """

@@ -34,7 +34,7 @@ def _extend(world, scratch, nodes, parents, count, source, target, step):
     """Write the node that is one step from `source` towards a target.
 
     Returns:
-        0 if the way there is not free, 2 if the node is the target, else 1.
+        0 if the edge to it is not free, 2 if the node is the target, else 1.
     """
     distance = 0.0
     for j in range(target.shape[0]):

@@ -1,4 +1,4 @@
-"""Stein's way to adapt a primitive, on a target with a closed form: when it may stop."""
+"""Stein's adaptation of a primitive, on a target with a closed form: when it may stop."""
 
 from dataclasses import replace
 
@@ -57,12 +57,17 @@ def prior():
     return primitive.condition(0.0, torch.zeros(2, dtype=torch.float64))
 
 
-def adapted(prior, way, good=None, runs=1):
+def adapted(prior, method, good=None, runs=1):
     """Return the particles and how many iterations they took."""
     target, generator = Attractor(), torch.Generator().manual_seed(0)
     latent = torch.randn(40, prior.rank, generator=generator, dtype=torch.float64)
-    found = way.adapt(
-        Runs.of([prior] * runs, STEPS), latent.expand(runs, -1, -1), target, (), way.settings, good
+    found = method.adapt(
+        Runs.of([prior] * runs, STEPS),
+        latent.expand(runs, -1, -1),
+        target,
+        (),
+        method.settings,
+        good,
     )
     return found[0], target.calls
 
@@ -77,13 +82,13 @@ def test_a_run_has_converged_when_it_is_annealed_and_at_rest():
 
 @pytest.mark.parametrize("inference", ["default", "raw", "cyclic", "no_annealing"])
 def test_it_stops_once_the_particles_rest_and_enough_of_them_are_good(prior, inference):
-    way = adaptation("smp", inference=inference, early_stop=True, iterations=200)
+    method = adaptation("smp", inference=inference, early_stop=True, iterations=200)
     whole, iterations = adapted(
         prior, adaptation("smp", inference=inference, iterations=200), Verdict(1.0)
     )
     assert iterations == 200
     verdict = Verdict(0.9)
-    stopped, iterations = adapted(prior, way, verdict)
+    stopped, iterations = adapted(prior, method, verdict)
     settings = SETTINGS[inference]
     assert settings.annealing * 200 <= iterations < 200
     assert len(verdict.asked) == 1
@@ -99,9 +104,9 @@ def test_it_stops_once_the_particles_rest_and_enough_of_them_are_good(prior, inf
 
 
 def test_it_goes_on_to_the_end_if_too_few_are_good_and_asks_once(prior):
-    way = adaptation("smp", early_stop=True, good_share=0.9)
+    method = adaptation("smp", early_stop=True, good_share=0.9)
     verdict = Verdict(0.8)
-    to_the_end, iterations = adapted(prior, way, verdict)
+    to_the_end, iterations = adapted(prior, method, verdict)
     assert (iterations, len(verdict.asked)) == (100, 1)
     without, _ = adapted(prior, adaptation("smp"))
     assert torch.equal(to_the_end, without)

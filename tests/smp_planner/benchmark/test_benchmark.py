@@ -25,7 +25,7 @@ from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest, make_manifest, read_results
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import (
-    COLUMNS,
+    CSV_COLUMNS,
     mean_interval,
     rate_interval,
     summarise,
@@ -191,7 +191,7 @@ def test_csv_is_sorted_and_ends_with_the_times(tmp_path: Path) -> None:
     write_csv(tmp_path / "rows.csv", [fake_play(key) for key in reversed(keys)])
     with (tmp_path / "rows.csv").open() as file:
         header, *rows = list(csv.reader(file))
-    assert tuple(header) == COLUMNS
+    assert tuple(header) == CSV_COLUMNS
     assert tuple(header[-2:]) == TIMES
     found = [(row[0], row[1], row[2], int(row[3])) for row in rows]
     assert found == sorted((k.task, k.method, k.difficulty, k.seed) for k in keys)

@@ -8,7 +8,7 @@ from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE
 from smp_planner.benchmark import timing
 from smp_planner.benchmark.cost_speed import (
-    MARGIN,
+    SPHERE_MARGIN,
     autograd_collision,
     cost_table,
     make_scene,
@@ -28,7 +28,7 @@ def test_both_sides_compute_the_same_cost_up_to_its_scale(edge_width):
     robot, grid = jaco_model(kinematics.finger_spheres(np.zeros(4))), bake_analytic(scene)
     q = make_trajectories(robot, 5, 20, rng)
     assert ((robot.lower <= q) & (q <= robot.upper)).all()
-    value, gradient = CollisionCost(robot, grid)(q, edge_width, MARGIN)
+    value, gradient = CollisionCost(robot, grid)(q, edge_width, SPHERE_MARGIN)
     oracle, slope = autograd_collision(robot, grid, q, edge_width, torch.float64)
     scale = value.max() / float(oracle.detach().max())
     assert scale > 0.0

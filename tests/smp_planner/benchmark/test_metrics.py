@@ -48,10 +48,10 @@ def slow_frechet(x, y):
     @cache
     def coupled(i, j):
         here = math.dist(x[i], y[j])
-        ways = [
+        before = [
             coupled(u, v) for u, v in ((i - 1, j), (i, j - 1), (i - 1, j - 1)) if u >= 0 and v >= 0
         ]
-        return max(here, min(ways)) if ways else here
+        return max(here, min(before)) if before else here
 
     return coupled(len(x) - 1, len(y) - 1)
 
@@ -191,10 +191,10 @@ def test_path_length_is_that_of_a_polyline_and_of_a_circle():
 @pytest.mark.parametrize("samples", [51, 200])
 def test_smoothness_of_minimum_jerk_is_analytic(samples):
     # x = 10 s³ - 15 s⁴ + 6 s⁵: ∫ x'''² = 720, greatest velocity 15/8.
-    way = minimum_jerk(np.linspace(0.0, 1.0, samples))[:, None] * [0.3, -0.4, 1.2]
+    path = minimum_jerk(np.linspace(0.0, 1.0, samples))[:, None] * [0.3, -0.4, 1.2]
     expected = -math.log(720 / (15 / 8) ** 2)
     # The greatest velocity lies between two samples where their number is even.
-    assert log_dimensionless_jerk([way])[0] == pytest.approx(expected, abs=1e-3)
+    assert log_dimensionless_jerk([path])[0] == pytest.approx(expected, abs=1e-3)
 
 
 def test_smoothness_of_a_circle_and_of_a_sine_is_analytic():
@@ -206,9 +206,9 @@ def test_smoothness_of_a_circle_and_of_a_sine_is_analytic():
 
 
 def test_smoothness_falls_with_noise_and_sees_neither_size_nor_place():
-    way = minimum_jerk(np.linspace(0.0, 1.0, 100))[:, None] * [1.0, 2.0]
-    noisy = way + 1e-3 * np.random.default_rng(20).normal(size=way.shape)
-    smooth, moved, rough = log_dimensionless_jerk([way, 7.0 * way + 3.0, noisy])
+    path = minimum_jerk(np.linspace(0.0, 1.0, 100))[:, None] * [1.0, 2.0]
+    noisy = path + 1e-3 * np.random.default_rng(20).normal(size=path.shape)
+    smooth, moved, rough = log_dimensionless_jerk([path, 7.0 * path + 3.0, noisy])
     assert moved == pytest.approx(smooth, abs=1e-6)
     assert rough < smooth - 1.0
 
@@ -225,7 +225,7 @@ def test_resampling_keeps_ends_and_straight_motion_and_changes_no_time():
     np.testing.assert_allclose(resample(walk, 17)[:, 1], walk[:, :2].mean(axis=1), atol=1e-12)
 
 
-def test_success_is_counted_in_two_ways():
+def test_success_is_counted_by_trajectory_and_by_waypoint():
     free = np.ones((4, 5), np.bool_)
     free[0, 2] = False
     reached = np.array([True, True, False, True])

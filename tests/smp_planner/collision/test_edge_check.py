@@ -15,7 +15,7 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, fixtures
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model, jaco_of_spheres
-from smp_planner.collision.verification import TOLERANCE, check_collisions
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, check_collisions
 
 MARGIN = 0.005
 
@@ -96,9 +96,11 @@ def test_edges_are_free_just_where_dense_sampling_says_so(arm, edges):
     outside, inside = sampled_gaps(robot, obstacles, *edges)
     assert 50 < free.sum() < 250
     assert (outside[free] >= MARGIN).all()
-    assert (inside[free] >= TOLERANCE).all()
+    assert (inside[free] >= CLEARANCE_TOLERANCE).all()
     # Steps of 5 mrad let samples miss a deepest point by less than half a millimetre.
-    clear = (outside > MARGIN + TOLERANCE + 5e-4) & (inside > 2 * TOLERANCE + 5e-4)
+    clear = (outside > MARGIN + CLEARANCE_TOLERANCE + 5e-4) & (
+        inside > 2 * CLEARANCE_TOLERANCE + 5e-4
+    )
     assert clear[~free].sum() == 0
     assert (~free).sum() > 50
 
@@ -115,7 +117,9 @@ def test_configurations_are_checked_as_they_are(arm, edges):
     q = edges[0]
     free = EdgeChecker(robot, obstacles, MARGIN).configurations_free(q)
     outside, inside = sampled_gaps(robot, obstacles, q, q, samples=1)
-    assert (free == ((outside >= MARGIN + TOLERANCE) & (inside >= 2 * TOLERANCE))).all()
+    assert (
+        free == ((outside >= MARGIN + CLEARANCE_TOLERANCE) & (inside >= 2 * CLEARANCE_TOLERANCE))
+    ).all()
     assert 50 < free.sum() < 250
 
 

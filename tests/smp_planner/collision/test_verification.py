@@ -14,7 +14,7 @@ from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.collision.verification import (
-    TOLERANCE,
+    CLEARANCE_TOLERANCE,
     check_collisions,
     minimum_duration,
     verify,
@@ -65,8 +65,8 @@ def test_clearance_is_that_of_dense_sampling(robot, paths):
     distance = signed_distance(centers, OBSTACLES) - robot.radius[moving]
     expected = distance.min(axis=(1, 2))
     check = check_collisions(paths, robot, OBSTACLES)
-    # Sampling misses the minimum by at most half the way between two samples, here 3 mm.
-    assert (check.clearance <= expected + TOLERANCE).all()
+    # Sampling misses the minimum by at most half the path between two samples, here 3 mm.
+    assert (check.clearance <= expected + CLEARANCE_TOLERANCE).all()
     assert (check.clearance >= expected - 3e-3).all()
     clear = (np.abs(expected) > 5e-3) & check.self_free
     np.testing.assert_array_equal(check.free[clear], expected[clear] > 0.0)
@@ -83,7 +83,7 @@ def test_self_collision_is_that_of_dense_sampling(robot):
     between = np.linalg.norm(centers[:, :, first] - centers[:, :, second], axis=-1)
     gap = (between - robot.radius[first] - robot.radius[second]).min(axis=(1, 2))
     check = check_collisions(paths, robot, ())
-    decided = np.abs(gap - TOLERANCE) > 2e-3
+    decided = np.abs(gap - CLEARANCE_TOLERANCE) > 2e-3
     np.testing.assert_array_equal(check.self_free[decided], gap[decided] > 0.0)
     np.testing.assert_array_equal(check.free, check.self_free)
     assert check.self_free.any()
@@ -137,13 +137,15 @@ def test_what_lies_only_between_two_steps_is_found(rod):
     plate = Obstacle(shape="box", position=(0.5, 0.0, 0.0), size=(0.2, 0.001, 0.2))
     path = np.array([[[-1.0], [1.0]], [[-1.0], [-0.2]]])
     check = check_collisions(path, rod, (plate,))
-    assert check.clearance[0] == pytest.approx(-0.05 - 0.001, abs=TOLERANCE)
-    assert check.clearance[1] == pytest.approx(0.5 * np.sin(0.2) - 0.05 - 0.001, abs=TOLERANCE)
+    assert check.clearance[0] == pytest.approx(-0.05 - 0.001, abs=CLEARANCE_TOLERANCE)
+    assert check.clearance[1] == pytest.approx(
+        0.5 * np.sin(0.2) - 0.05 - 0.001, abs=CLEARANCE_TOLERANCE
+    )
     np.testing.assert_array_equal(check.free, [False, True])
 
 
 def test_self_contact_between_two_steps_is_found(rod):
-    """A sphere of the mount stands in the way of the one on the rod, between all the steps."""
+    """A sphere of the mount stands in the path of the one on the rod, between all the steps."""
     radius = np.array([0.02, 0.05])
     for at, free in ((0.5 + 0.07 - 0.01, False), (0.5 + 0.07 + 0.01, True)):
         center = np.array([[at, 0.0, 0.0], [0.5, 0.0, 0.0]])
@@ -156,20 +158,20 @@ def test_self_contact_between_two_steps_is_found(rod):
 
 def test_a_path_is_free_only_if_it_is_so_for_certain(rod):
     """A ball on the circle that the rod's sphere draws leaves a gap of 0.4 and 1.6 tolerances."""
-    for gap, free in ((0.4 * TOLERANCE, False), (1.6 * TOLERANCE, True)):
+    for gap, free in ((0.4 * CLEARANCE_TOLERANCE, False), (1.6 * CLEARANCE_TOLERANCE, True)):
         # The closest approach, at 0.1234 rad, is at none of the steps.
         at = (0.5 + 0.05 + 0.1 + gap) * np.array([np.cos(0.1234), np.sin(0.1234), 0.0])
         ball = Obstacle(shape="sphere", position=tuple(at.tolist()), size=(0.1, 0.1, 0.1))
         path = np.linspace(-1.0, 1.0, 7)[None, :, None]
-        check = check_collisions(path, rod, (ball,), TOLERANCE / 4)
-        assert gap <= check.clearance[0] + 1e-12 <= gap + TOLERANCE / 4 + 1e-12
+        check = check_collisions(path, rod, (ball,), CLEARANCE_TOLERANCE / 4)
+        assert gap <= check.clearance[0] + 1e-12 <= gap + CLEARANCE_TOLERANCE / 4 + 1e-12
         assert (check_collisions(path, rod, (ball,)).free == free).all()
 
 
 def test_more_steps_on_the_same_path_change_nothing(robot, paths):
     coarse = check_collisions(paths, robot, OBSTACLES)
     fine = check_collisions(dense(paths, 8), robot, OBSTACLES)
-    np.testing.assert_allclose(coarse.clearance, fine.clearance, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(coarse.clearance, fine.clearance, rtol=0, atol=CLEARANCE_TOLERANCE)
 
 
 def test_without_obstacles_the_clearance_is_infinite(robot, paths):

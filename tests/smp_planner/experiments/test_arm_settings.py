@@ -47,9 +47,9 @@ def test_diversity_is_the_mean_distance_of_two_paths():
 
 def test_all_variants_of_a_scene_and_prior_follow_each_other():
     cells = cells_of(["DrawS", "Placement"], ["usual", "narrow"], "easy", range(5, 8))
-    count = len(arm_settings.VARIANTS)
+    count = len(arm_settings.COMPARED_SETTINGS)
     assert len(cells) == len(set(cells)) == 2 * 3 * 2 * count
     for start in range(0, len(cells), count):
         together = cells[start : start + count]
-        assert [cell.variant for cell in together] == list(arm_settings.VARIANTS)
+        assert [cell.variant for cell in together] == list(arm_settings.COMPARED_SETTINGS)
         assert len({(cell.task, cell.prior, cell.seed) for cell in together}) == 1

@@ -18,7 +18,7 @@ from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2A,
     FIGURE_2B,
-    METHODS,
+    LASA_METHODS,
     TUNING_SCENES,
     LasaScene,
     Method,
@@ -61,8 +61,8 @@ def test_scenes_are_no_trivial_ones(letter: SMP) -> None:
 def test_figure_1(letter: SMP) -> None:
     reference = comparison.reference_of(letter)[::10]
     rows = {"floor": comparison.noise_floor_row(letter, FIGURE_1, reference, 21, 0)}
-    quicker = Method(adaptation("cpromp", iterations=100), METHODS["cpromp"].settings)
-    for name, method in {**METHODS, "cpromp": quicker}.items():
+    quicker = Method(adaptation("cpromp", iterations=100), LASA_METHODS["cpromp"].settings)
+    for name, method in {**LASA_METHODS, "cpromp": quicker}.items():
         plan = comparison.adapted(letter, FIGURE_1, method, 21, 0)
         rows[name] = comparison.measure(plan.trajectories, letter, FIGURE_1, reference)
         assert rows[name]["free"] == plan.collision_free.sum()
@@ -122,7 +122,7 @@ def test_regions_hold_most_of_the_unadapted_primitive(letter: SMP, letters: SMP)
 def test_table_1(letters: SMP) -> None:
     rows = {
         name: boxes.box_row(name, letters, FIGURE_2B, Method(adaptation("smp"), settings()), 42, 0)
-        for name in boxes.PRIORS
+        for name in boxes.BOX_PRIORS
     }
     without, default, printed = rows.values()
     assert without["ends"] < 42.0
@@ -132,7 +132,13 @@ def test_table_1(letters: SMP) -> None:
 
 def test_tuning_takes_the_nearest_of_the_freest(letter: SMP) -> None:
     row = tuning.tuning_row(
-        "smp", 0, letter, TUNING_SCENES[0], comparison.reference_of(letter), 10, tuning.FIRST_SEED
+        "smp",
+        0,
+        letter,
+        TUNING_SCENES[0],
+        comparison.reference_of(letter),
+        10,
+        tuning.FIRST_TUNING_SEED,
     )
     assert 0.0 <= row["free"] <= 10.0
 
@@ -141,7 +147,7 @@ def test_tuning_takes_the_nearest_of_the_freest(letter: SMP) -> None:
 
     assert tuning.best([summary(30.0, 1.0), summary(41.8, 5.0), summary(42.0, 6.0)]) == 1
     for name, candidates in tuning.CANDIDATES.items():
-        assert METHODS[name] in candidates
+        assert LASA_METHODS[name] in candidates
 
 
 def test_figure_is_written(letter: SMP, tmp_path: Path) -> None:
@@ -161,7 +167,7 @@ def _run(*arguments: str) -> str:
 
 def test_command_line_on_another_shape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     quick = {"smp": QUICK, "cpromp": Method(adaptation("cpromp", iterations=5), settings())}
-    monkeypatch.setattr(script, "METHODS", quick)
+    monkeypatch.setattr(script, "LASA_METHODS", quick)
     _run(
         *("compare", "--shape", "GShape", "--obstacle", "-20,0,2", "--goal", "1,1"),
         *("--via", "0.5,-20,-9", "--method", "smp,cpromp", "--particles", "6"),

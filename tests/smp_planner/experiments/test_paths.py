@@ -77,9 +77,9 @@ def test_total_variation() -> None:
 
 def test_spread_within_ways_takes_no_notice_of_their_distance() -> None:
     rng = np.random.default_rng(1)
-    way = np.repeat([0, 1, 2], [400, 500, 1])
-    offsets = np.array([[0.0, 0.0], [50.0, 0.0], [0.0, 90.0]])[way]
+    label = np.repeat([0, 1, 2], [400, 500, 1])
+    offsets = np.array([[0.0, 0.0], [50.0, 0.0], [0.0, 90.0]])[label]
     paths = (offsets + rng.normal(0.0, 2.0, (901, 2)))[:, None].repeat(5, axis=1)
     # Two coordinates of standard deviation 2 each.
-    assert within_spread(paths, way[:, None]) == pytest.approx(np.sqrt(8.0), rel=0.05)
-    assert within_spread(paths[[0, 400, 900]], way[[0, 400, 900], None]) is None
+    assert within_spread(paths, label[:, None]) == pytest.approx(np.sqrt(8.0), rel=0.05)
+    assert within_spread(paths[[0, 400, 900]], label[[0, 400, 900], None]) is None

@@ -25,7 +25,7 @@ def primitive() -> SMP:
     return learn("Sshape")
 
 
-def test_weights_of_ways_agree_with_importance_sampling(primitive: SMP) -> None:
+def test_weights_of_classes_agree_with_importance_sampling(primitive: SMP) -> None:
     drawn = exact_draws(primitive, FIGURE_1, COARSE, np.random.default_rng(0), FEW)
     ends = common_ends(primitive)
     found = classes(drawn, FIGURE_1.obstacles, ends)
@@ -42,10 +42,10 @@ def test_weights_of_ways_agree_with_importance_sampling(primitive: SMP) -> None:
     cost = COARSE.obstacle_weight * np.square(occupancy).sum(axis=1)
     share = np.exp(-cost - logsumexp(-cost))
     assert 1.0 / np.square(share).sum() > 500
-    ways = classes(paths, FIGURE_1.obstacles, ends)
-    for way in np.unique(ways, axis=0):
-        wanted = share[(ways == way).all(axis=1)].sum()
-        assert (found == way).all(axis=1).mean() == pytest.approx(wanted, abs=0.08)
+    signatures = classes(paths, FIGURE_1.obstacles, ends)
+    for signature in np.unique(signatures, axis=0):
+        expected = share[(signatures == signature).all(axis=1)].sum()
+        assert (found == signature).all(axis=1).mean() == pytest.approx(expected, abs=0.08)
     assert np.linalg.norm(drawn[:, -1], axis=-1).max() < 1e-6
     mean = np.einsum("p,ptd->td", share, paths)
     assert np.abs(drawn.mean(axis=0) - mean).max() < 1.0
@@ -61,13 +61,13 @@ def test_scenes_without_an_exact_posterior(primitive: SMP) -> None:
 
 def test_a_set_against_itself(primitive: SMP) -> None:
     paths = primitive.adapt(particles=100, method="promp").trajectories
-    ways = classes(paths, FIGURE_1.obstacles, common_ends(primitive))
-    reference = Reference(paths, ways)
-    row = posterior_row("itself", paths, ways, reference, FIGURE_1)
+    signatures = classes(paths, FIGURE_1.obstacles, common_ends(primitive))
+    reference = Reference(paths, signatures)
+    row = posterior_row("itself", paths, signatures, reference, FIGURE_1)
     assert row["variation"] == 0.0
     assert row["wasserstein_exact"] == pytest.approx(0.0, abs=1e-6)
     assert row["diversity"] == row["spread"] == pytest.approx(1.0)
-    weights = [row[f"way_{n}"] for n in range(1, len(reference.ways) + 1)]
+    weights = [row[f"class_{n}"] for n in range(1, len(reference.classes) + 1)]
     assert sum(weights) == pytest.approx(1.0)
     assert weights == sorted(weights, reverse=True)
     assert {column.name for column in columns(reference)} <= row.keys()
@@ -85,5 +85,5 @@ def test_rows_of_settings() -> None:
     assert [s["setting"] for s in summaries] == [svgd_settings.POSTERIOR, *names]
     for column in svgd_settings.settings_columns(ground):
         assert column.text(summaries[1][column.name])
-    # Particles on their own all climb to the top of their way.
+    # Particles on their own all climb to the top of their class.
     assert rows[4]["spread"] < 0.2 < rows[3]["spread"]

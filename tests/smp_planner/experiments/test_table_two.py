@@ -81,7 +81,7 @@ def test_scenes_are_those_of_their_seeds():
             np.testing.assert_allclose(stored.position, drawn.position, atol=1e-9)
 
 
-def test_one_gaussian_is_asked_for_where_there_are_two_ways():
+def test_one_gaussian_is_asked_for_where_there_are_two_modes():
     assert methods_of("DoubleSidedPlacement") == list(METHODS)
     assert not any(name.endswith("_matched") for name in methods_of("DrawS"))
 

@@ -11,7 +11,7 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import Obstacle
 from smp_planner.adaptation import adaptation
-from smp_planner.collision.verification import TOLERANCE, check_collisions
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, check_collisions
 from smp_planner.library.cloud import learned_cloud
 from smp_planner.library.frame import Frame
 from smp_planner.library.scene import Scene
@@ -257,7 +257,7 @@ def test_bodies_beside_a_cloud_count_too(space, placing, block, pillar, view):
             checks.append(mover.check(paths))
             costs.append(mover.collision(paths, 0.02, 0.0)[0])
         least = np.minimum(checks[0].clearance, checks[1].clearance)
-        np.testing.assert_allclose(checks[2].clearance, least, atol=2 * TOLERANCE)
+        np.testing.assert_allclose(checks[2].clearance, least, atol=2 * CLEARANCE_TOLERANCE)
         assert (costs[2] >= 0.95 * np.maximum(costs[0], costs[1])).all()
         assert (costs[2] <= 1.05 * (costs[0] + costs[1])).all()
 
@@ -293,8 +293,8 @@ def test_clearance_to_a_grid_is_found_between_samples(pointer):
     ends = 0.5 * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
     expected = grid.query(ends).min(axis=1) - 0.05
     found = check_collisions(turns, rod, (), grid=grid)
-    np.testing.assert_allclose(found.clearance, expected, atol=TOLERANCE)
-    assert (found.clearance <= expected + TOLERANCE).all()
+    np.testing.assert_allclose(found.clearance, expected, atol=CLEARANCE_TOLERANCE)
+    assert (found.clearance <= expected + CLEARANCE_TOLERANCE).all()
     assert found.free.any()
     assert not found.free.all()
 

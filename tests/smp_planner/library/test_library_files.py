@@ -89,8 +89,8 @@ def test_a_primitive_comes_back_as_it_was(tmp_path):
     primitive.save(tmp_path / "primitive.npz")
     again = SMP.load(tmp_path / "primitive.npz")
     assert again.settings == primitive.settings
-    way, obstacles = adaptation("smp", iterations=10), [Circle((0.5, 0.9), 0.1)]
-    plans = [p.adapt(obstacles, method=way, particles=7) for p in (primitive, again)]
+    method, obstacles = adaptation("smp", iterations=10), [Circle((0.5, 0.9), 0.1)]
+    plans = [p.adapt(obstacles, method=method, particles=7) for p in (primitive, again)]
     np.testing.assert_array_equal(plans[0].trajectories, plans[1].trajectories)
 
 

@@ -343,6 +343,6 @@ def test_a_robot_is_saved_with_its_primitive(placing, tmp_path: Path):
     again = SMP.load(tmp_path / "arm.npz")
     assert again.robot is not None
     assert again.robot.joints == placing.robot.joints
-    way = adaptation("smp", iterations=5)
-    first, second = (p.adapt(particles=4, method=way) for p in (placing, again))
+    method = adaptation("smp", iterations=5)
+    first, second = (p.adapt(particles=4, method=method) for p in (placing, again))
     np.testing.assert_array_equal(first.trajectories, second.trajectories)

@@ -44,7 +44,7 @@ def plan(primitive):
 
 
 @pytest.fixture(scope="module")
-def two_ways(waves):
+def two_modes(waves):
     return SMP.fit([*waves, *(d * [1.0, -1.0] for d in waves)])
 
 
@@ -168,18 +168,18 @@ def test_any_of_several_ends_will_do(primitive):
     assert plan.passing.all()
 
 
-def test_each_mode_takes_its_own_via_point(two_ways):
+def test_each_mode_takes_its_own_via_point(two_modes):
     choice = AnyOf([ViaPoint(0.25, (55.0, 75.0), 2.0), ViaPoint(0.25, (55.0, -75.0), 2.0)])
-    plan = two_ways.adapt(via_points=[choice], goal=(210.0, 20.0))
+    plan = two_modes.adapt(via_points=[choice], goal=(210.0, 20.0))
     assert np.bincount(plan.components).tolist() == [21, 21]
     assert plan.good.all()
     side = np.sign(plan.trajectories[:, 50, 1])
     np.testing.assert_array_equal(side, np.where(plan.components == 0, 1.0, -1.0))
 
 
-def test_one_gaussian_for_two_ways_stands_between_them(two_ways):
+def test_one_gaussian_for_two_modes_stands_between_them(two_modes):
     apart, together = (
-        two_ways.adapt(method="promp", per_component=per_component, particles=200)
+        two_modes.adapt(method="promp", per_component=per_component, particles=200)
         for per_component in (True, False)
     )
     between = [np.abs(found.trajectories[:, 50, 1]) < 10.0 for found in (apart, together)]
@@ -188,9 +188,9 @@ def test_one_gaussian_for_two_ways_stands_between_them(two_ways):
     assert together.components is None
 
 
-def test_the_number_of_modes_can_be_stated(waves, two_ways):
-    assert len(two_ways.mixture.components) == 2
-    both = two_ways.demonstrations
+def test_the_number_of_modes_can_be_stated(waves, two_modes):
+    assert len(two_modes.mixture.components) == 2
+    both = two_modes.demonstrations
     assert len(SMP.fit(both, modes=1).mixture.components) == 1
     assert len(SMP.fit(waves, modes=2).mixture.components) == 2
     with pytest.raises(ValueError, match=r"modes must be 1 \.\. 3.*got 8"):

@@ -113,7 +113,7 @@ def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, regi
 
 
 def test_cpromp_without_obstacles_is_nearly_the_prior(problems):
-    """Its other costs, at their usual weights, take little from draws that have the way free."""
+    """Its other costs, at their usual weights, take little from draws whose path is free."""
     problem = problems[0]
     free = among(problem, (), problem.goals)
     (plan,) = make_planner("cpromp", "Placement", settings={"particles": 1000}).plan([free])

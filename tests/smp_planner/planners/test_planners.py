@@ -74,7 +74,7 @@ def test_trajectories_begin_at_rest_in_the_present_configuration(plan, scene):
     assert (speed[:, [0, -1]].max(axis=(1, 2)) < 0.1 * speed.max(axis=(1, 2))).all()
 
 
-def test_the_chosen_particle_reaches_the_goal_and_nothing_on_the_way(plan, scene):
+def test_the_chosen_particle_reaches_the_goal_and_touches_nothing(plan, scene):
     """Checked here by sampling the path finely, with nothing of the planner's own checker."""
     from smp_gym.geometry.distance import signed_distance
     from smp_gym.robot.kinematics import sphere_centers

@@ -219,9 +219,9 @@ def test_via_poses_are_taken_when_they_are_due(lifting):
     # Straight from where the push begins: what the hand is off the line is off the poses, too.
     first, end = (round(problem.via_poses[k].phase * last) for k in (1, -1))
     hands = end_effector_pose(plan.trajectories[:, first : end + 1])[..., :3, 3]
-    begin, way = hands[:, :1], hands[:, -1:] - hands[:, :1]
-    share = ((hands - begin) * way).sum(-1, keepdims=True) / (way**2).sum(-1, keepdims=True)
-    assert np.linalg.norm(hands - begin - share * way, axis=-1).max() < 2e-3
+    begin, line = hands[:, :1], hands[:, -1:] - hands[:, :1]
+    share = ((hands - begin) * line).sum(-1, keepdims=True) / (line**2).sum(-1, keepdims=True)
+    assert np.linalg.norm(hands - begin - share * line, axis=-1).max() < 2e-3
     # The hand closes at rest.
     speed = np.abs(np.diff(plan.trajectories, axis=1)).max(axis=2)
     assert speed[:, end - 1 : end + 1].max() < 0.1 * speed.max()

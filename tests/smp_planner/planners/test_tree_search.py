@@ -51,7 +51,7 @@ def test_in_free_space_the_way_is_straight(problem):
 
 
 def test_without_a_way_there_is_none(pointer):
-    """A pointer that does not turn all around, and a ball in its way."""
+    """A pointer that does not turn all around, and a ball in its path."""
     robot = pointer(limit=2.0)
     ball = Obstacle(shape="sphere", position=(1.0, 0.0, 0.0), size=(0.05,) * 3)
     start, goals = np.array([-1.0]), np.array([[1.0]])

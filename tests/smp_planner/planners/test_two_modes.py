@@ -1,4 +1,4 @@
-"""Planning with two-modal demonstrations: both ways are planned, the open one is taken."""
+"""Planning with two-modal demonstrations: both modes are planned, the open one is taken."""
 
 import gymnasium
 import numpy as np

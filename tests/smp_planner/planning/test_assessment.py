@@ -1,4 +1,4 @@
-"""What a plan says of its particles: their order, the way that each goes, the best of each mode."""
+"""What a plan says of its particles: their order, homotopy classes, the best of each mode."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from smp_gym.robot.kinematics import (
     sphere_centers,
 )
 from smp_gym.scene import Obstacle
-from smp_planner.collision.verification import TOLERANCE
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planners import make_planner
 from smp_planner.planning.assessment import free_waypoints, signatures
 from smp_planner.planning.modes import group
@@ -55,14 +55,14 @@ def problem_with(movable, goals):
     return arm_problem(POSTURE, movable, FINGERS, goals, seed=0, movable=movable)
 
 
-def ways(trajectories, movable, goals):
+def signatures_of(trajectories, movable, goals):
     return signatures(problem_with(movable, goals), trajectories)
 
 
 def test_two_ways_round_the_base_wind_round_it_once():
     """A turn by a quarter and by a quarter less a whole turn end in one place."""
     trajectories = turning(QUARTER, QUARTER - 2 * np.pi)
-    found = ways(trajectories, (pole((0.0, 0.0, 0.5), 1.0),), (around(hand(QUARTER)),))
+    found = signatures_of(trajectories, (pole((0.0, 0.0, 0.5), 1.0),), (around(hand(QUARTER)),))
     assert found.shape == (2, 3)
     np.testing.assert_array_equal(found[:, 0], 0)
     np.testing.assert_array_equal(found[:, 2], 0)
@@ -72,9 +72,9 @@ def test_two_ways_round_the_base_wind_round_it_once():
 
 
 @pytest.mark.parametrize(("offset", "level"), [(-0.2, 1), (0.0, 0), (0.2, -1)])
-def test_over_and_under_an_obstacle_on_the_way(offset, level):
+def test_over_and_under_an_obstacle(offset, level):
     place = hand(QUARTER / 2) + np.array([0.0, 0.0, offset])
-    found = ways(turning(QUARTER), (pole(place, 0.1),), (around(hand(QUARTER)),))
+    found = signatures_of(turning(QUARTER), (pole(place, 0.1),), (around(hand(QUARTER)),))
     assert found[0, 2] == level
 
 
@@ -91,18 +91,18 @@ def test_an_obstacle_is_as_high_as_it_leans(lean):
             quaternion=(0.0, np.sin(lean / 2), 0.0, np.cos(lean / 2)),
             size=(half, thin, thin),
         )
-        assert ways(turning(QUARTER), (box,), (around(hand(QUARTER)),))[0, 2] == level
+        assert signatures_of(turning(QUARTER), (box,), (around(hand(QUARTER)),))[0, 2] == level
 
 
-def test_a_way_through_the_middle_of_an_obstacle_has_a_signature_all_the_same():
+def test_a_path_through_the_middle_of_an_obstacle_has_a_signature_all_the_same():
     place = hand(0.0)
-    found = ways(turning(QUARTER), (pole(place, 0.1),), (around(hand(QUARTER)),))
+    found = signatures_of(turning(QUARTER), (pole(place, 0.1),), (around(hand(QUARTER)),))
     assert found.shape == (1, 3)
 
 
 def test_ways_to_two_goals_differ_whatever_is_between():
     trajectories = turning(0.5, -0.5, 0.5)
-    found = ways(trajectories, (), (around(hand(-0.5)), around(hand(0.5))))
+    found = signatures_of(trajectories, (), (around(hand(-0.5)), around(hand(0.5))))
     np.testing.assert_array_equal(found, [[1], [0], [1]])
 
 
@@ -179,8 +179,8 @@ def test_waypoints_are_free_where_spheres_keep_clear():
     clearance = (signed_distance(centers, (obstacle,)) - spheres.radius[moving]).min(axis=1)
     gap = clearance.reshape(2, 60)
     found = free_waypoints(problem, trajectories)
-    assert (gap[0] > 2 * TOLERANCE).any()
+    assert (gap[0] > 2 * CLEARANCE_TOLERANCE).any()
     assert (gap[0] < 0).any()
     # Between once and twice the tolerance, either answer is right.
-    assert found[gap > 2 * TOLERANCE].all()
-    assert not found[gap < TOLERANCE].any()
+    assert found[gap > 2 * CLEARANCE_TOLERANCE].all()
+    assert not found[gap < CLEARANCE_TOLERANCE].any()

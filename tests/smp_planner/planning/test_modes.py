@@ -88,12 +88,12 @@ def test_deformations_change_the_number_only_by_crossing_the_centre(rng):
     steps = 250
     kept = changed = 0
     for base, bulge in zip(STRAIGHT + bulges(rng, 30), bulges(rng, 30, 0.3), strict=True):
-        way = base + np.linspace(0.0, 1.0, steps)[:, None, None] * bulge
+        path = base + np.linspace(0.0, 1.0, steps)[:, None, None] * bulge
         # No point of an edge moves farther than this from one step to the next.
         moved = np.linalg.norm(bulge, axis=-1).max() / (steps - 1)
         for center in CENTERS[:3]:
-            before, after = signatures_2d(way[[0, -1]], center[None])[:, 0]
-            if (clearance(way, center) > moved).all():
+            before, after = signatures_2d(path[[0, -1]], center[None])[:, 0]
+            if (clearance(path, center) > moved).all():
                 assert before == after
                 kept += 1
             elif before != after:
@@ -213,7 +213,7 @@ def test_the_level_is_that_between_the_samples():
     assert signatures_3d([rising], BAR, 0.3)[0, 0, 1] == 0
 
 
-def test_over_an_obstacle_either_side_of_the_axis_is_one_way():
+def test_over_an_obstacle_either_side_of_the_axis_is_one_class():
     paths = np.stack([arc([0.0, aside, 1.0]) for aside in np.linspace(-0.15, 0.15, 20)])
     assert len(np.unique(signatures_2d(paths[..., :2], BAR[:, :2]))) == 2
     assert group(signatures_3d(paths, BAR, 0.1, 0.06)).count == 1
@@ -250,7 +250,7 @@ def test_the_scene_may_be_turned_with_its_axes(rng):
         moved = turn.apply(paths.reshape(-1, 3)).reshape(paths.shape)
         around = turn.apply(centers)
         np.testing.assert_array_equal(signatures_3d(moved, around, heights, radii, axis), found)
-    # An axis of its own each: what is beside a lying bar across the way is over a standing one.
+    # An axis of its own each: what is beside a lying bar across the path is over a standing one.
     both = signatures_3d(
         paths[2:3], np.repeat(BAR, 2, axis=0), 0.1, axis=[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
     )

@@ -46,9 +46,9 @@ def test_seeds_are_checked(checker, postures, region):
 
 
 def test_a_chain_takes_its_poses_and_keeps_its_branch():
-    ways = np.linspace(0.0, 1.0, 5)[:, None]
+    shares = np.linspace(0.0, 1.0, 5)[:, None]
     first, last = np.array([-0.9, 3.8, 0.8, 0.2, 1.9, 0.1]), np.array([-1.2, 4.2, 1.0, 0, 1.6, 0.2])
-    expected = first + ways * (last - first)
+    expected = first + shares * (last - first)
     poses = end_effector_pose(expected)
     chain = pose_chain(list(poses), last + 0.05)
     np.testing.assert_allclose(end_effector_pose(chain), poses, atol=1e-4)

@@ -1,4 +1,4 @@
-"""Grasping on the way: learned from demonstrations, posed as a problem, planned and executed."""
+"""Grasping: learned from demonstrations, posed as a problem, planned and executed."""
 
 from dataclasses import replace
 
@@ -54,7 +54,7 @@ def test_the_grasp_is_learned_relative_to_the_object(shipped):
     )
 
 
-def test_a_task_that_begins_with_the_object_in_the_hand_has_no_grasp_on_the_way():
+def test_a_task_that_begins_with_the_object_in_the_hand_has_no_grasp():
     assert learn_grasping(Demonstrations.load("Placement")) is None
 
 
@@ -130,9 +130,9 @@ def test_an_obstacle_in_the_way_of_the_carried_box_alone_is_seen(posed):
 
 
 def test_the_arm_stands_still_while_the_hand_closes():
-    way = np.linspace(0.0, 1.0, 101)[:, None] * np.full(6, 0.5)
-    track = Track(way, 10.0, GripperEvent(phase=0.5, command=1.0))
-    reference, positions, commands = way[0].copy(), [], []
+    trajectory = np.linspace(0.0, 1.0, 101)[:, None] * np.full(6, 0.5)
+    track = Track(trajectory, 10.0, GripperEvent(phase=0.5, command=1.0))
+    reference, positions, commands = trajectory[0].copy(), [], []
     for step in range(240):
         action = track.action(step, reference).astype(np.float64)
         reference = reference + action[:6] * JOINT_VELOCITY * CONTROL_PERIOD
@@ -151,9 +151,9 @@ def test_the_arm_stands_still_while_the_hand_closes():
 
 
 def test_an_event_at_the_end_holds_nothing_up():
-    way = np.linspace(0.0, 1.0, 101)[:, None] * np.full(6, 0.5)
+    trajectory = np.linspace(0.0, 1.0, 101)[:, None] * np.full(6, 0.5)
     for event in (None, GripperEvent(1.0, -1.0), GripperEvent(0.5, -1.0)):
-        track = Track(way, 10.0, event)
+        track = Track(trajectory, 10.0, event)
         moves = [track.action(step, track.reference(step * CONTROL_PERIOD)) for step in range(200)]
         assert np.ptp([move[0] for move in moves]) < 1e-5
 

@@ -65,7 +65,7 @@ def test_the_hand_opens_once_the_arm_has_arrived():
     assert np.abs(actions[opening[0] :, :6]).max() < 1e-6
 
 
-def test_an_event_on_the_way_happens_on_the_way():
+def test_an_event_within_the_trajectory_happens_there():
     track = Track(minimum_jerk(START, END), 6.0, GripperEvent(phase=0.25, command=1.0))
     _, actions = integrate(track, 60)
     assert (actions[:30, 6] == -1.0).all()
