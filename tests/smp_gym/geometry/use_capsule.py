@@ -15,7 +15,7 @@ from smp_gym.robot.kinematics import arm_spheres, sphere_centers
 from smp_gym.sampling import kernels, sample_scene
 from smp_gym.sampling.conversion import to_obstacle, to_row
 from smp_gym.scene import SHAPES, Obstacle
-from smp_planner.benchmark.drawing import body_faces
+from smp_planner.benchmark.camera import body_faces
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks

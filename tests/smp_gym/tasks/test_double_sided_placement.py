@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pybullet
 import pytest
+from bullet_arm import Bullet
 from rollouts import rollout_digest
-from test_scene_sampling import Bullet
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv

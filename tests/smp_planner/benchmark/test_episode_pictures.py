@@ -83,15 +83,16 @@ def _played() -> PlayedEpisode:
     trajectories = demonstrations.configurations
     count = len(trajectories)
     plan = Plan(
-        weights=np.zeros((count, 15, 6)),
         trajectories=trajectories,
         costs={},
         collision_free=np.arange(count) % 2 == 0,
         clearance=np.zeros(count),
-        goal_error=np.zeros(count),
+        missed={},
+        passing=np.ones(count, bool),
         duration=np.full(count, 10.0),
         executable=np.ones(count, bool),
-        chosen=2,
+        ranks=(np.arange(count) - 2) % count,
+        signatures=np.zeros((count, 1), np.int64),
     )
     scene = Scene(
         task="Placement",

@@ -34,8 +34,8 @@ def test_settings_and_priors_differ_in_what_they_say(rows):
     assert rows[0]["wasserstein"] != rows[1]["wasserstein"]
     narrow = arm_settings._policy("Placement", "narrow", "smp", "default").planner.settings
     usual = arm_settings._policy("Placement", "usual", "smp", "default").planner.settings
-    assert narrow.smooth_std == 0.5 * usual.smooth_std
-    assert (narrow.retries, usual.retries) == (0, 0)
+    assert narrow["smooth_std"] == 0.5 * usual["smooth_std"]
+    assert (narrow["retries"], usual["retries"]) == (0, 0)
 
 
 def test_diversity_is_the_mean_distance_of_two_paths():

@@ -25,7 +25,7 @@ def test_every_candidate_is_a_setting_that_its_method_knows(task, method):
     for settings in candidates(task, method):
         found = PlannerPolicy.make(method, task, settings=settings).planner.settings
         for name, value in settings.items():
-            assert getattr(found, name) == value
+            assert found[name] == value
 
 
 def test_strokes_have_candidates_of_their_own():

@@ -17,7 +17,9 @@ from smp_planner.library.frame import Frame
 from smp_planner.library.scene import Scene
 from smp_planner.library.smp import SMP, AdaptSettings, PointCloud, Robot
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
+from smp_planner.planning.assessment import assess
 from smp_planner.planning.bodies import path_clearance
+from smp_planner.planning.target import SceneTarget
 
 PHASE = np.linspace(0.0, 1.0, 60)
 QUICK = AdaptSettings(map_points=6000, map_steps=400, retries=0)
@@ -146,14 +148,14 @@ def test_thickness_is_what_lies_behind_the_surface():
 
 def test_a_map_is_learned_once(space, arcs):
     cloud = PointCloud(seen([BLOCK], CAMERA, 30), CAMERA)
-    few = {"particles": 2, "method": None}
+    few = {"particles": 2, "method": "promp"}
     settings = AdaptSettings(map_points=500, map_steps=20)
     plans = [
         space.adapt(cloud, start=start, goal=arcs[0][-1], seed=seed, settings=settings, **few)
         for start, seed in ((arcs[0][0], 0), (arcs[0][0] - 0.1, 1))
     ]
     assert len(cloud.maps) == 1
-    assert plans[0].obstacles == (cloud,)
+    assert plans[0].display["obstacles"] == (cloud,)
     fresh = PointCloud(cloud.points, CAMERA)
     again = space.adapt(fresh, start=arcs[0][0], goal=arcs[0][-1], settings=settings, **few)
     np.testing.assert_array_equal(again.clearance, plans[0].clearance)
@@ -166,18 +168,19 @@ def test_what_was_not_looked_at_is_not_free(space, arcs):
     far = BLOCK.model_copy(update={"position": (0.5, 3.0, 0.25)})
     points = np.concatenate([seen([BLOCK], CAMERA, 30), seen([far], CAMERA, 30, 0.1)])
     settings = AdaptSettings(map_points=500, map_steps=20)
-    mover = Scene(space.frame, None, [PointCloud(points, CAMERA)], 0.0).mover(
-        settings, 0, space.demonstrations, ()
-    )
+    scene = Scene(space.frame, None, [PointCloud(points, CAMERA)], 0.0)
+    problem = scene.problem((), settings, 0, space.demonstrations)
     beside, through_far = (
         space.frame.inwards(np.array([[0.0, 0.3, 0.0], [0.5, y, 0.6], [1.0, 0.3, 0.0]]))
         for y in (0.3, 3.0)
     )
-    np.testing.assert_array_equal(mover.check(np.stack([beside, through_far])).free, [True, False])
+    both = np.stack([beside, through_far])
+    np.testing.assert_array_equal(assess(problem, both, settings).free, [True, False])
     only_far = PointCloud(seen([far], CAMERA, 60, 0.1), CAMERA)
-    mover = Scene(space.frame, None, [only_far], 0.0).mover(settings, 0, space.demonstrations, ())
-    np.testing.assert_array_equal(mover.check(np.stack([beside, through_far])).free, [True, False])
-    assert mover.collision(beside[None], 0.05, 0.0)[0] == 0.0
+    scene = Scene(space.frame, None, [only_far], 0.0)
+    problem = scene.problem((), settings, 0, space.demonstrations)
+    np.testing.assert_array_equal(assess(problem, both, settings).free, [True, False])
+    assert SceneTarget(problem, settings).costs(beside[None])["obstacles"] == 0.0
 
 
 def test_an_arm_goes_round_what_the_camera_saw(placing, pillar, view):
@@ -251,11 +254,10 @@ def test_bodies_beside_a_cloud_count_too(space, placing, block, pillar, view):
         checks, costs = [], []
         for obstacles in ([body], [cloud], [cloud, body]):
             radius = 0.02 if primitive.robot is None else 0.0
-            mover = Scene(primitive.frame, primitive.robot, obstacles, radius).mover(
-                QUICK, 0, primitive.demonstrations, ()
-            )
-            checks.append(mover.check(paths))
-            costs.append(mover.collision(paths, 0.02, 0.0)[0])
+            scene = Scene(primitive.frame, primitive.robot, obstacles, radius)
+            problem = scene.problem((), QUICK, 0, primitive.demonstrations)
+            checks.append(assess(problem, paths, QUICK))
+            costs.append(SceneTarget(problem, QUICK).costs(paths)["obstacles"])
         least = np.minimum(checks[0].clearance, checks[1].clearance)
         np.testing.assert_allclose(checks[2].clearance, least, atol=2 * CLEARANCE_TOLERANCE)
         assert (costs[2] >= 0.95 * np.maximum(costs[0], costs[1])).all()

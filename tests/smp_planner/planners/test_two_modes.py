@@ -100,8 +100,8 @@ def test_plain_draws_are_shared_out_too_and_one_particle_is_enough(envs):
 
 def test_one_modal_demonstrations_have_no_components():
     planner = make_planner("promp", "Placement")
-    assert len(planner.mixture.components) == 1
-    assert planner.mixture.components[0] is planner.primitive
+    assert len(planner.prior.mixture.components) == 1
+    assert planner.prior.mixture.components[0] is planner.prior.single
     env = gymnasium.make("smp_gym/Placement-v0", difficulty="none")
     observation, _ = env.reset(seed=0)
     (plan,) = planner.plan([problem_from(decode(observation, "Placement"), seed=0)])
