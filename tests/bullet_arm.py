@@ -10,6 +10,15 @@ from smp_gym.scene import Obstacle
 from smp_gym.tasks.placement.rules import HELD_OBJECT_POSE
 
 
+def _euler(matrix):
+    """Return yaw, pitch and roll of a rotation matrix."""
+    return (
+        np.arctan2(matrix[1, 0], matrix[0, 0]),
+        -np.arcsin(np.clip(matrix[2, 0], -1, 1)),
+        np.arctan2(matrix[2, 1], matrix[2, 2]),
+    )
+
+
 class Bullet:
     """The arm's real collision shapes with a held box, and obstacles, in a client of its own."""
 

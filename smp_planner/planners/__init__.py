@@ -8,7 +8,9 @@ iterations are enough then. On both, `smp` has a prior of a shorter length scale
 than the paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it
 is not needed, have not.
 
-The settings of the baselines are the best of those that `scripts/tune_baselines.py` tries: of
+Where only the mean of a Gaussian gives way, draws around it that keep the prior's spread need room:
+on every task (`"*"`), `prompt_o` has a larger weight of obstacles, and `promp_diff` a larger margin
+and a wider edge of the map. The other settings of the baselines are the best of those that `scripts/tune_baselines.py` tries: of
 settings within two points of the highest share of particles that succeed, the one nearest to the
 defaults, since one farther off gives up similarity for nothing.
 """
@@ -63,8 +65,12 @@ def _settings_file() -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def task_settings(name: str, task: str) -> dict[str, Any]:
-    """Return the settings that a planner has for a task in place of its own defaults."""
-    return dict(_settings_file().get(name, {}).get(task, {}))
+    """Return the settings that a planner has for a task in place of those of its models.
+
+    They are its own for every task, ``"*"`` in the file, and those of the task.
+    """
+    own = _settings_file().get(name, {})
+    return {**own.get("*", {}), **own.get(task, {})}
 
 
 def make_planner(

@@ -202,15 +202,6 @@ def test_witnesses_succeed_in_the_physics(drawn, difficulty, env):
         assert info["is_success"], (scene.seed, info)
 
 
-def _euler(matrix):
-    """Return yaw, pitch and roll of a rotation matrix."""
-    return (
-        np.arctan2(matrix[1, 0], matrix[0, 0]),
-        -np.arcsin(np.clip(matrix[2, 0], -1, 1)),
-        np.arctan2(matrix[2, 1], matrix[2, 2]),
-    )
-
-
 @pytest.fixture(scope="module")
 def bullet():
     made = Bullet()
