@@ -106,10 +106,6 @@ class Runs:
             primitives[0].basis.values(phases(steps)),
         )
 
-    def one(self, index: int) -> Runs:
-        """Return one of the runs on its own."""
-        return Runs.of((self.primitives[index],), self.steps)
-
     def trajectories(self, weights: Tensor) -> Tensor:
         """Return the trajectories (B, P, T, D) of weights (B, P, K*D)."""
         return self.values @ weights.unflatten(-1, (self.values.shape[1], -1))

@@ -36,6 +36,11 @@ class SteinSettings(BaseModel):
     early_stop: bool = False
     good_share: float = Field(default=0.9, gt=0.0, le=1.0)
 
+    @property
+    def separate(self) -> bool:
+        """Whether runs are adapted one by one, for each has its own metric or last iteration."""
+        return self.early_stop or named_settings(self.inference).needs_metric
+
     @field_validator("inference")
     @classmethod
     def _known(cls, name: str) -> str:

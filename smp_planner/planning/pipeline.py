@@ -246,9 +246,11 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
     if adaptation.adapt is None:
         return
     groups: dict[tuple[int, ...], list[tuple[_Attempt, int]]] = {}
+    separate = getattr(adaptation.settings, "separate", False)
     for attempt in attempts:
         for index, part in enumerate(attempt.parts):
-            groups.setdefault(tuple(part.latent.shape), []).append((attempt, index))
+            own = (len(groups),) if separate else ()
+            groups.setdefault((*part.latent.shape, *own), []).append((attempt, index))
     for group in groups.values():
         begin = time.perf_counter()
         parts = [attempt.parts[index] for attempt, index in group]

@@ -248,3 +248,12 @@ def test_a_batch_of_unequal_problems_gives_the_plans_of_each(smp, scene, plan):
     np.testing.assert_array_equal(plans[0].trajectories, plan.trajectories)
     np.testing.assert_array_equal(plans[1].trajectories, smp.plan([other])[0].trajectories)
     assert plans[2].good[plans[2].chosen]
+
+
+@pytest.mark.parametrize("own", [{"inference": "path_kernel"}, {"early_stop": True}])
+def test_runs_with_a_metric_or_an_end_of_their_own_do_not_see_the_batch(own, scene):
+    planner = make_planner("smp", "Placement", settings={"iterations": 30, "retries": 0, **own})
+    problems = [problem_of(scene), problem_of(sample_scene("Placement", "easy", 5), seed=9)]
+    together = planner.plan(problems)
+    for problem, plan in zip(problems, together, strict=True):
+        np.testing.assert_array_equal(planner.plan([problem])[0].trajectories, plan.trajectories)
