@@ -13,8 +13,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from smp_gym.sampling import CROWDED
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.certification import CROWDED, make_lists
+from smp_planner.benchmark.certification import make_lists
 from smp_planner.benchmark.options import Jobs, chosen_names
 
 

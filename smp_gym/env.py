@@ -20,6 +20,7 @@ from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.observation import (
     CONTROL_PERIOD,
     CONTROLS,
+    LONGEST_LIMIT,
     MAX_EPISODE_STEPS,
     Control,
     Encoder,
@@ -29,19 +30,22 @@ from smp_gym.observation import (
 from smp_gym.physics.jaco import ACTION_SIZE
 from smp_gym.physics.workcell import Workcell
 from smp_gym.physics.world import Camera
-from smp_gym.sampling import sample_of_family
+from smp_gym.sampling import CROWDED, sample_scene
 from smp_gym.scene import (
     DIFFICULTIES,
     EVALUATION_SEEDS_START,
     FAMILIES,
     Scene,
 )
-from smp_gym.tasks import make_task, task_definition
+from smp_gym.tasks.registry import make_task, task_families
 
-__all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "ManipulationEnv"]
+__all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "SUCCESS_REWARD", "ManipulationEnv"]
 
-FAILURE_REWARD = -100.0
-"""Reward of the step that collides or loses the object; it ends the episode."""
+SUCCESS_REWARD = 10.0
+FAILURE_REWARD = -10.0
+"""Rewards of the step that ends the episode: with success, or by a collision or the loss of the
+object. All other steps have none. So whatever the length of an episode and whatever the discount,
+success is worth more than running out of time, and that more than failing."""
 
 SHAPING_DISCOUNT = 0.99
 """Discount in the dense reward's difference of potentials. Shaping leaves the best policy what it
@@ -63,19 +67,23 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 
     **Observations** are goal-conditioned and complete; see `smp_gym.observation`.
 
-    **Rewards**: -1 a step, 0 at success, -100 at a collision or when the task is lost for good
-    (placing: the object rests, let go, where it should not); all three end the episode. "dense"
-    adds the difference of the task's potential, discounted by `SHAPING_DISCOUNT`, the potential
-    being 0 once the episode has ended.
+    **Rewards**: 10 at success, -10 at a collision or when the task is lost for good (placing: the
+    object rests, let go, where it should not), which end the episode, and 0 in every other step. So
+    success is worth more than running out of time, and that more than failing, for episodes of all
+    lengths and discounts. "dense" adds the difference of the task's potential, discounted by
+    `SHAPING_DISCOUNT`, the potential being 0 once the episode has ended.
+
+    **Time**: ``gymnasium.make(id, max_episode_steps=n)`` sets *the* limit of an episode, by default
+    `smp_gym.observation.MAX_EPISODE_STEPS`: the observation's elapsed fraction and the failure
+    "timeout" follow it.
 
     **Collisions**: any contact of the arm or of the held object that the task does not need, looked
     for after every physics step.
 
     **Seeds**: ``reset(seed=s)`` starts the episode whose scene is
-    ``sample_scene(task, difficulty, s)``, with furniture ``sample_furniture(task, family, s)``:
-    pure functions. A reset without seed draws the next one from ``np_random``, always below
-    `EVALUATION_SEEDS_START`: seeds from there on are kept for evaluation and come up only when
-    asked for.
+    ``sample_scene(task, difficulty, s, family)``, a pure function. A reset without seed draws the
+    next one from ``np_random``, always below `EVALUATION_SEEDS_START`: seeds from there on are kept
+    for evaluation and come up only when asked for.
 
     **Info**, in every step: ``is_success``; ``collided``; ``collision``, the names of the two
     parts, or None; ``clearance``, the least distance so far of arm or held object to an obstacle,
@@ -95,8 +103,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         camera: entries of `smp_gym.physics.world.Camera` that shall differ from the default.
         control: "joint_velocity" or "end_effector", what actions mean. It stands in the
             observation: planner policies act in joint velocities, and refuse the other mode.
-        family: of the scenes, one of `smp_gym.scene.FAMILIES`: single obstacles, or a kind of
-            furniture in the tasks `smp_gym.scene.FURNISHED_TASKS`. Furniture has no difficulty.
+        family: of the scenes, one of `smp_gym.tasks.registry.task_families`. Difficulty "none",
+            without obstacles, there is in the first only.
 
     Raises:
         ValueError: an argument is not one of those allowed.
@@ -127,8 +135,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         _check_choice("difficulty", difficulty, DIFFICULTIES)
         _check_choice("reward", reward, ("sparse", "dense"))
         _check_choice("control", control, CONTROLS)
-        allowed = FAMILIES if task_definition(task).sampler.furnish else FAMILIES[:1]
-        _check_choice(f"family of {task}", family, allowed)
+        _check_choice(f"family of {task}", family, task_families(task))
+        if family != FAMILIES[0]:
+            _check_choice(f"difficulty of family {family}", difficulty, CROWDED)
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         for name, value in (("width", width), ("height", height)):
             if not (isinstance(value, int) and value > 0):
@@ -143,6 +152,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.observation_space = observation_space(self.task.name)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
         seen = render_mode is not None
+        self._limit = MAX_EPISODE_STEPS
         self._cell = Workcell(self.task, gui=render_mode == "human", seen=seen)
         self._scene: Scene | None = None
         self._actions: list[NDArray[np.float64]] = []
@@ -151,6 +161,19 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._next_frame = 0.0
 
     # Gymnasium's interface
+
+    @property
+    def limit(self) -> int:
+        """Steps after which an episode is truncated, by the `TimeLimit` around it."""
+        return self._limit
+
+    @limit.setter
+    def limit(self, steps: int) -> None:
+        if isinstance(steps, bool) or not isinstance(steps, int | np.integer):
+            raise ValueError(f"limit must be a whole number of steps, got {steps!r}")
+        if not 1 <= steps <= LONGEST_LIMIT:
+            raise ValueError(f"limit must be from 1 to {LONGEST_LIMIT} steps, got {steps}")
+        self._limit = int(steps)
 
     @property
     def scene(self) -> Scene:
@@ -232,7 +255,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         collided = self.task.collided(achieved)
         success = self.task.success(achieved, desired)
         failed = collided | self.task.lost(achieved, desired)
-        rewards = np.where(failed, FAILURE_REWARD, np.where(success, 0.0, -1.0))
+        rewards = np.where(failed, FAILURE_REWARD, np.where(success, SUCCESS_REWARD, 0.0))
         if self.reward == "dense":
             before = self.task.potential(_previous_goals(info, achieved.shape), desired)
             after = np.where(failed | success, 0.0, self.task.potential(achieved, desired))
@@ -320,7 +343,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._scene = None
         self._cell.load(scene)
         self._scene = scene
-        self._encoder = Encoder(scene, self.control)
+        self._encoder = Encoder(scene, self.control, self._limit)
         self._actions = []
         self._failure = ""
         self._succeeded = self._over = False
@@ -342,7 +365,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             self._failure = "collision"
         elif not self._failure:
             self._failure = self.task.failure(self._cell.status) or ("misplaced" if lost else "")
-        if not (self._over or self._failure) and len(self._actions) >= MAX_EPISODE_STEPS:
+        if not (self._over or self._failure) and len(self._actions) >= self._limit:
             self._failure = "timeout"
         return observation
 
@@ -357,7 +380,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             return scene
         if seed is None:
             seed = int(self.np_random.integers(EVALUATION_SEEDS_START))
-        return sample_of_family(self.task.name, self.family, self.difficulty, seed)
+        return sample_scene(self.task.name, self.difficulty, seed, self.family)
 
     def _observe(self) -> Observation:
         cell = self._cell

@@ -27,6 +27,7 @@ __all__ = [
     "CONTROLS",
     "CONTROL_PERIOD",
     "GRIPPER_RATE",
+    "LONGEST_LIMIT",
     "MAX_EPISODE_STEPS",
     "OBSTACLE_LAYOUT",
     "STATE_LAYOUT",
@@ -46,7 +47,10 @@ CONTROL_PERIOD = 0.05
 """Seconds per environment step (20 Hz)."""
 
 MAX_EPISODE_STEPS = 400
-"""Steps after which an episode is truncated."""
+"""Steps after which an episode is truncated, unless ``gymnasium.make`` is given another limit."""
+
+LONGEST_LIMIT = 10_000
+"""Largest limit of an episode's steps."""
 
 Control = Literal["joint_velocity", "end_effector"]
 """Control mode: what the first six entries of an action mean."""
@@ -73,10 +77,12 @@ STATE_LAYOUT = (
     Field("object_angular_velocity", 3, -200.0, 200.0),
     Field("object_size", 3, 0.0, 1.0),
     Field("elapsed", 1, 0.0, 1.0),
+    Field("limit", 1, 0.0, LONGEST_LIMIT / MAX_EPISODE_STEPS),
     Field("control", 1, 0.0, float(len(CONTROLS) - 1)),
 )
-"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of `MAX_EPISODE_STEPS`,
-``control`` the index of the control mode in `CONTROLS`.
+"""``observation``: rad, rad/s, m, m/s; ``elapsed`` is the fraction of the
+episode's limit of steps, ``limit`` that limit in units of `MAX_EPISODE_STEPS`, ``control`` the
+index of the control mode in `CONTROLS`.
 
 In tasks without an object, the object's entries are those of the pen's tip, its size the pen's
 radius."""
@@ -141,6 +147,7 @@ class DecodedObservation:
         robot: state of arm and gripper.
         object: state of the manipulated object, or of the pen's tip.
         elapsed_steps: environment steps since the episode began; 0 in its first observation.
+        limit: steps after which the episode is truncated.
         collided: whether a forbidden contact has happened.
         control: what actions mean in the environment that it is from.
     """
@@ -149,6 +156,7 @@ class DecodedObservation:
     robot: RobotState
     object: ObjectState
     elapsed_steps: int
+    limit: int
     collided: bool
     control: Control
 
@@ -253,9 +261,13 @@ class Encoder:
     Args:
         scene: the episode's scene.
         control: what actions mean.
+        limit: steps after which the episode is truncated.
     """
 
-    def __init__(self, scene: Scene, control: Control = "joint_velocity") -> None:
+    def __init__(
+        self, scene: Scene, control: Control = "joint_velocity", limit: int = MAX_EPISODE_STEPS
+    ) -> None:
+        self._limit = limit
         self._control = CONTROLS.index(control)
         self._state = _Join(STATE_LAYOUT)
         self._goal = _Join(make_task(scene.task).goals.layout)
@@ -283,7 +295,8 @@ class Encoder:
         state = {
             **vars(robot),
             **{f"object_{name}": value for name, value in vars(manipulated).items()},
-            "elapsed": elapsed_steps / MAX_EPISODE_STEPS,
+            "elapsed": elapsed_steps / self._limit,
+            "limit": self._limit / MAX_EPISODE_STEPS,
             "control": self._control,
         }
         return {
@@ -364,9 +377,13 @@ def _check_raw(vectors: Mapping[str, FloatArray], state: Mapping[str, FloatArray
         norm = float(np.linalg.norm(state[name]))
         if abs(norm - 1.0) > _ROUNDING:
             raise _abnormal("observation", f"have {name} of norm 1, not {norm}")
-    steps = float(state["elapsed"][0]) * MAX_EPISODE_STEPS
-    if abs(steps - round(steps)) > _ROUNDING:
-        raise _abnormal("observation", f"have elapsed a whole number of steps, not {steps}")
+    limit = float(state["limit"][0]) * MAX_EPISODE_STEPS
+    steps = float(state["elapsed"][0]) * limit
+    for name, count in (("limit", limit), ("elapsed", steps)):
+        if abs(count - round(count)) > _ROUNDING * max(1.0, limit / MAX_EPISODE_STEPS):
+            raise _abnormal("observation", f"have {name} a whole number of steps, not {count}")
+    if limit < 0.5:
+        raise _abnormal("observation", f"have a limit of at least one step, not {limit}")
     control = float(state["control"][0])
     if not control.is_integer():
         raise _abnormal("observation", f"have an index as control, not {control}")
@@ -397,6 +414,7 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     desired = _split(vectors["desired_goal"], codec.layout)
     achieved = _split(vectors["achieved_goal"], codec.layout)
     _check_raw(vectors, state)
+    limit = round(float(state["limit"][0]) * MAX_EPISODE_STEPS)
     size = state["object_size"]
     try:
         goals = codec.decode(desired, size)
@@ -432,7 +450,8 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         scene=scene,
         robot=robot,
         object=manipulated,
-        elapsed_steps=round(float(state["elapsed"][0]) * MAX_EPISODE_STEPS),
+        elapsed_steps=round(float(state["elapsed"][0]) * limit),
+        limit=limit,
         collided=bool(achieved["collided"][0] > 0.5),
         control=CONTROLS[round(float(state["control"][0]))],
     )

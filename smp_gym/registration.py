@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import gymnasium
+from gymnasium.envs.registration import WrapperSpec
 
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_gym.tasks.definition import TaskDefinition
@@ -20,6 +21,7 @@ __all__ = [
 ]
 
 _ENTRY_POINT = "smp_gym.env:ManipulationEnv"
+_EPISODE_LIMIT = WrapperSpec("EpisodeLimit", "smp_gym.limit:EpisodeLimit", {})
 
 
 @dataclass(frozen=True)
@@ -76,4 +78,5 @@ def register_envs(environments: Iterable[Registration] = ENVIRONMENTS) -> None:
                 entry_point=_ENTRY_POINT,
                 kwargs={"task": entry.task, "reward": entry.reward},
                 max_episode_steps=MAX_EPISODE_STEPS,
+                additional_wrappers=(_EPISODE_LIMIT,),
             )

@@ -34,7 +34,6 @@ __all__ = [
     "DIFFICULTIES",
     "EVALUATION_SEEDS_START",
     "FAMILIES",
-    "FURNISHED_TASKS",
     "MAX_OBSTACLES",
     "PAD_DEPTH",
     "PAD_HALF_WIDTH",
@@ -59,11 +58,19 @@ TASKS: tuple[str, ...]
 DIFFICULTIES = ("none", "easy", "medium", "hard")
 """Difficulties, with 0 / 2 / 4 / 6 obstacles before a goal."""
 
-FAMILIES = ("obstacles", "shelf", "box", "cage", "table")
-"""Families of scenes: single obstacles, as many as the difficulty says, or a kind of furniture."""
-
-FURNISHED_TASKS: tuple[str, ...]
-"""Tasks of which there are scenes with furniture; looked up in `smp_gym.tasks`."""
+FAMILIES = (
+    "obstacles",
+    "shelf",
+    "box",
+    "cage",
+    "table",
+    "clutter",
+    "moving",
+    "displaced",
+)
+"""Families of scenes: few bodies set against the demonstrated movement, four kinds of furniture,
+many small solids, obstacles that move, and obstacles that are shifted in mid-episode. Which of them
+a task has says `smp_gym.tasks.registry.task_families`."""
 
 if not TYPE_CHECKING:
 
@@ -73,8 +80,6 @@ if not TYPE_CHECKING:
 
         if name == "TASKS":
             return tuple(task.name for task in task_definitions())
-        if name == "FURNISHED_TASKS":
-            return tuple(task.name for task in task_definitions() if task.sampler.furnish)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
@@ -110,6 +115,12 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
 def _shape(name: str) -> str:
     if name not in REGISTRY:
         raise ValueError(f"shape must be one of {', '.join(SHAPES)}; got {name!r}")
+    return name
+
+
+def _family(name: str) -> str:
+    if name not in FAMILIES:
+        raise ValueError(f"family must be one of {', '.join(FAMILIES)}; got {name!r}")
     return name
 
 
@@ -235,8 +246,7 @@ class Scene(_Frozen):
         task: name of the task, one of `TASKS`.
         version: version of the task's scene distribution; part of what determines the scene.
         family: one of `FAMILIES`.
-        difficulty: one of `DIFFICULTIES`, or "custom" for a scene that has none: with furniture, or
-            made by hand.
+        difficulty: one of `DIFFICULTIES`, or "custom" for a scene made by hand.
         seed: the seed it was drawn from, or None for a scene made by hand.
         start: joint angles at the start of the episode, rad.
         manipulated: the object, or None in tasks without one.
@@ -246,7 +256,7 @@ class Scene(_Frozen):
 
     task: str
     version: int = 0
-    family: Literal["obstacles", "shelf", "box", "cage", "table"] = "obstacles"
+    family: Annotated[str, AfterValidator(_family)] = FAMILIES[0]
     difficulty: Literal["none", "easy", "medium", "hard", "custom"] = "custom"
     seed: int | None = Field(default=None, ge=0)
     start: Configuration

@@ -25,7 +25,6 @@ from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import (
-    FURNISHED_TASKS,
     MAX_OBSTACLES,
     ManipulatedObject,
     Obstacle,
@@ -34,6 +33,10 @@ from smp_gym.scene import (
 )
 
 __all__ = ["load_obstacles", "load_scene"]
+from smp_gym.tasks.registry import task_families, task_names
+
+_FURNITURE = "shelf"
+"""A family that only tasks have that set an object down on a body."""
 
 _Vector = tuple[float, float, float]
 
@@ -321,7 +324,7 @@ def load_scene(
 
     Args:
         path: of the YAML file.
-        task: one of `smp_gym.scene.FURNISHED_TASKS`.
+        task: one that sets an object down: "Placement" or "DoubleSidedPlacement".
         seed: of the scene without obstacles that gives start and goals, not negative.
         offset: see `load_obstacles`, as the rest.
         yaw: turn of the file's frame, rad.
@@ -332,8 +335,9 @@ def load_scene(
         ValueError: as `load_obstacles`; no such task, or an obstacle stands in a goal's place.
         ImportError: PyYAML is not installed.
     """
-    if task not in FURNISHED_TASKS:
-        raise ValueError(f"task must be one of {', '.join(FURNISHED_TASKS)}; got {task!r}")
+    allowed = [name for name in task_names() if _FURNITURE in task_families(name)]
+    if task not in allowed:
+        raise ValueError(f"task must be one of {', '.join(allowed)}; got {task!r}")
     bare = sample_scene(task, "none", seed)
     obstacles = load_obstacles(path, offset=offset, yaw=yaw, skip_unsupported=skip_unsupported)
     for goal in bare.goals:

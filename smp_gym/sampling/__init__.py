@@ -1,4 +1,4 @@
-"""Scene sampling: (task, version, difficulty, seed) -> `Scene`, solvable by construction.
+"""Scene sampling: (task, version, family, difficulty, seed) -> `Scene`, solvable by construction.
 
 A scene is drawn in four steps:
 
@@ -21,21 +21,16 @@ Which goals, families and obstacles belong to a task, its folder in `smp_gym.tas
 
 from smp_gym.sampling.scenes import (
     place_without_witness,
-    sample_furniture,
-    sample_furniture_with_witness,
-    sample_of_family,
     sample_scene,
     sample_with_witness,
 )
-from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
+from smp_gym.sampling.specification import CROWDED, SPECIFICATIONS, DifficultySpecification
 
 __all__ = [
+    "CROWDED",
     "SPECIFICATIONS",
     "DifficultySpecification",
     "place_without_witness",
-    "sample_furniture",
-    "sample_furniture_with_witness",
-    "sample_of_family",
     "sample_scene",
     "sample_with_witness",
 ]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.sampling.conversion import to_configuration, to_obstacle
-from smp_gym.scene import Goal, ManipulatedObject, Scene
+from smp_gym.scene import FAMILIES, Goal, ManipulatedObject, Scene
 
 __all__ = ["Draw", "SceneSampler", "first_scene"]
 
@@ -44,40 +44,49 @@ Drawing = Callable[[str, np.random.Generator], Draw | None]
 class SceneSampler:
     """The functions that draw the scenes of a task.
 
-    Each function takes difficulty (or kind of furniture) and source of randomness, and returns None
-    or raises `UnreachableError` where what it drew does not fit together: it is then called again.
+    Each function takes difficulty and source of randomness, and returns None or raises
+    `UnreachableError` where what it drew does not fit together: it is then called again.
 
     Attributes:
         draw: draws goals, obstacles and a feasible reference trajectory.
         place: draws goals and obstacles without looking for one; None if the task has no such
             scenes.
-        furnish: draws goals, furniture and a feasible reference trajectory; None if the task has no
-            such scenes.
+        families: of scenes besides, by name: each draws goals, obstacles and a feasible reference
+            trajectory.
     """
 
     draw: Drawing
     place: Drawing | None = None
-    furnish: Drawing | None = None
+    families: Mapping[str, Drawing] = field(default_factory=dict)
+
+    def drawing(self, family: str) -> Drawing:
+        """Return the function that draws a family's scenes.
+
+        Raises:
+            KeyError: the task has no such scenes.
+        """
+        return self.draw if family == FAMILIES[0] else self.families[family]
 
 
 def first_scene(
-    drawing: Drawing, kind: str, rng: np.random.Generator, attempts: int, **identity: Any
+    drawing: Drawing, difficulty: str, rng: np.random.Generator, attempts: int, **identity: Any
 ) -> tuple[Scene, FloatArray | None]:
     """Draw until everything fits together; return the scene and its witness.
 
     Args:
         drawing: draws once.
-        kind: difficulty or kind of furniture.
+        difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         rng: source of all randomness.
         attempts: how often at most.
-        identity: fields of the `Scene` that say which it is: task, version, difficulty, seed.
+        identity: fields of the `Scene` that say which it is: task, version, family, difficulty,
+            seed.
 
     Raises:
         RuntimeError: nothing fitted together.
     """
     for _ in range(attempts):
         try:
-            drawn = drawing(kind, rng)
+            drawn = drawing(difficulty, rng)
         except UnreachableError:
             continue
         if drawn is not None:

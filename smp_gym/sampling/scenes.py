@@ -1,30 +1,25 @@
-"""(task, version, difficulty or kind of furniture, seed) -> `Scene`, for every task."""
+"""(task, version, family, difficulty, seed) -> `Scene`, for every task."""
 
 from __future__ import annotations
 
 from smp_gym.arrays import FloatArray
 from smp_gym.sampling.draws import first_scene
-from smp_gym.sampling.furniture import FURNITURE
-from smp_gym.sampling.specification import SPECIFICATIONS, generator
+from smp_gym.sampling.specification import CROWDED, generator
 from smp_gym.scene import DIFFICULTIES, FAMILIES, Scene
-from smp_gym.tasks.registry import task_definition, task_definitions
+from smp_gym.tasks.registry import task_definition, task_families
 
 __all__ = [
     "place_without_witness",
-    "sample_furniture",
-    "sample_furniture_with_witness",
-    "sample_of_family",
     "sample_scene",
     "sample_with_witness",
 ]
 
-_MAX_DRAWS = 200
-_MAX_FURNISHED_DRAWS = 400
-"""Largest numbers of goals drawn in all, with obstacles and with furniture."""
+_MAX_DRAWS = 400
+"""Largest number of goals drawn in all."""
 
 
 def sample_with_witness(
-    task: str, difficulty: str, seed: int, version: int | None = None
+    task: str, difficulty: str, seed: int, family: str = FAMILIES[0], version: int | None = None
 ) -> tuple[Scene, FloatArray]:
     """Return a scene and a trajectory that solves it.
 
@@ -33,6 +28,8 @@ def sample_with_witness(
         difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         seed: not negative; below `smp_gym.scene.EVALUATION_SEEDS_START` for tuning, from there on
             for evaluation.
+        family: one of `smp_gym.tasks.registry.task_families`; "none", the difficulty without
+            obstacles, there is in the first only.
         version: version of the task's scene distribution, by default the present one.
 
     Returns:
@@ -41,26 +38,31 @@ def sample_with_witness(
         in 14 s within the velocity limits.
 
     Raises:
-        ValueError: no such task or difficulty, a negative seed or version, or a task whose scenes
-            are drawn without a witness.
+        ValueError: no such task, difficulty or family, a negative seed or version, or a task whose
+            scenes are drawn without a witness.
     """
-    scene, witness = _sample(task, difficulty, seed, version)
-    return scene, _present(witness, task)
+    scene, witness = _sample(task, difficulty, seed, family, version)
+    if witness is None:
+        raise ValueError(f"scenes of {task} are drawn without a witness")
+    return scene, witness
 
 
-def sample_scene(task: str, difficulty: str, seed: int, version: int | None = None) -> Scene:
-    """Return the scene of (task, version, difficulty, seed), a pure function of these.
+def sample_scene(
+    task: str, difficulty: str, seed: int, family: str = FAMILIES[0], version: int | None = None
+) -> Scene:
+    """Return the scene of (task, version, family, difficulty, seed), a pure function of these.
 
     Args:
         task: name of the task, one of `smp_gym.scene.TASKS`.
         difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         seed: not negative.
+        family: one of `smp_gym.tasks.registry.task_families`.
         version: version of the task's scene distribution, by default the present one.
 
     Raises:
-        ValueError: no such task or difficulty, or a negative seed or version.
+        ValueError: no such task, difficulty or family, or a negative seed or version.
     """
-    return _sample(task, difficulty, seed, version)[0]
+    return _sample(task, difficulty, seed, family, version)[0]
 
 
 def place_without_witness(
@@ -87,9 +89,8 @@ def place_without_witness(
             such scenes.
     """
     definition = task_definition(task)
-    crowded = [name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles]
-    if difficulty not in crowded:
-        raise ValueError(f"difficulty must be one of {', '.join(crowded)}; got {difficulty!r}")
+    if difficulty not in CROWDED:
+        raise ValueError(f"difficulty must be one of {', '.join(CROWDED)}; got {difficulty!r}")
     if definition.sampler.place is None:
         raise ValueError(f"scenes of {task} are not placed without a witness")
     version = _checked(seed, definition.version if version is None else version)
@@ -98,93 +99,32 @@ def place_without_witness(
     return first_scene(definition.sampler.place, difficulty, rng, _MAX_DRAWS, **identity)[0]
 
 
-def sample_furniture_with_witness(
-    task: str, kind: str, seed: int, version: int | None = None
-) -> tuple[Scene, FloatArray]:
-    """Return a furnished scene and a trajectory that solves it.
-
-    Args:
-        task: one of `smp_gym.scene.FURNISHED_TASKS`.
-        kind: of the furniture: "shelf", "box", "cage" or "table".
-        seed: not negative; below `smp_gym.scene.EVALUATION_SEEDS_START` for tuning, from there on
-            for evaluation.
-        version: version of the task's scene distribution, by default the present one.
-
-    Returns:
-        The scene, of family `kind`, and the witness (200, 6) in rad as that of
-        `smp_gym.sampling.sample_with_witness`.
-
-    Raises:
-        ValueError: no such task or kind, or a negative seed or version.
-    """
-    furnished = {known.name: known for known in task_definitions() if known.sampler.furnish}
-    if task not in furnished:
-        raise ValueError(
-            f"task must be one of {', '.join(furnished)} to be furnished; got {task!r}"
-        )
-    if kind not in FURNITURE:
-        raise ValueError(f"kind must be one of {', '.join(FURNITURE)}; got {kind!r}")
-    furnish = furnished[task].sampler.furnish
-    assert furnish is not None
-    version = _checked(seed, furnished[task].version if version is None else version)
-    rng = generator(task, f"furniture/{kind}", seed, version)
-    identity = {"task": task, "version": version, "family": kind, "seed": seed}
-    scene, witness = first_scene(furnish, kind, rng, _MAX_FURNISHED_DRAWS, **identity)
-    return scene, _present(witness, task)
-
-
-def sample_furniture(task: str, kind: str, seed: int, version: int | None = None) -> Scene:
-    """Return the furnished scene of (task, version, kind, seed), a pure function of these.
-
-    Args:
-        task: one of `smp_gym.scene.FURNISHED_TASKS`.
-        kind: of the furniture: "shelf", "box", "cage" or "table".
-        seed: not negative.
-        version: version of the task's scene distribution, by default the present one.
-
-    Raises:
-        ValueError: no such task or kind, or a negative seed or version.
-    """
-    return sample_furniture_with_witness(task, kind, seed, version)[0]
-
-
-def sample_of_family(task: str, family: str, difficulty: str, seed: int) -> Scene:
-    """Return the scene that an environment of this task, family and difficulty plays.
-
-    Args:
-        task: name of the task.
-        family: one of `smp_gym.scene.FAMILIES`.
-        difficulty: one of `smp_gym.scene.DIFFICULTIES`; furniture has none and disregards it.
-        seed: not negative.
-
-    Raises:
-        ValueError: no such task, family or difficulty, a task without furniture, or a negative
-            seed.
-    """
-    if family == FAMILIES[0]:
-        return sample_scene(task, difficulty, seed)
-    return sample_furniture(task, family, seed)
-
-
 def _sample(
-    task: str, difficulty: str, seed: int, version: int | None
+    task: str, difficulty: str, seed: int, family: str, version: int | None
 ) -> tuple[Scene, FloatArray | None]:
     definition = task_definition(task)
-    if difficulty not in SPECIFICATIONS:
-        raise ValueError(f"difficulty must be one of {', '.join(DIFFICULTIES)}; got {difficulty!r}")
+    known = task_families(task)
+    if family not in known:
+        raise ValueError(f"family of {task} must be one of {', '.join(known)}; got {family!r}")
+    allowed = DIFFICULTIES if family == FAMILIES[0] else CROWDED
+    if difficulty not in allowed:
+        raise ValueError(
+            f"difficulty of {family} must be one of {', '.join(allowed)}; got {difficulty!r}"
+        )
     version = _checked(seed, definition.version if version is None else version)
-    rng = generator(task, difficulty, seed, version)
-    identity = {"task": task, "version": version, "difficulty": difficulty, "seed": seed}
-    return first_scene(definition.sampler.draw, difficulty, rng, _MAX_DRAWS, **identity)
+    name = difficulty if family == FAMILIES[0] else f"{family}/{difficulty}"
+    rng = generator(task, name, seed, version)
+    identity = {
+        "task": task,
+        "version": version,
+        "family": family,
+        "difficulty": difficulty,
+        "seed": seed,
+    }
+    return first_scene(definition.sampler.drawing(family), difficulty, rng, _MAX_DRAWS, **identity)
 
 
 def _checked(seed: int, version: int) -> int:
     if seed < 0 or version < 0:
         raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
     return version
-
-
-def _present(witness: FloatArray | None, task: str) -> FloatArray:
-    if witness is None:
-        raise ValueError(f"scenes of {task} are drawn without a witness")
-    return witness

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SPECIFICATIONS", "DifficultySpecification", "generator"]
+__all__ = ["CROWDED", "SPECIFICATIONS", "DifficultySpecification", "generator"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,9 @@ SPECIFICATIONS = {
     "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.01),
     "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.0),
 }
+
+CROWDED = tuple(name for name, chosen in SPECIFICATIONS.items() if chosen.obstacles)
+"""Difficulties with obstacles, the only ones of families other than the first."""
 
 
 def generator(task: str, difficulty: str, seed: int, version: int) -> np.random.Generator:

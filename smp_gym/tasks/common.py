@@ -15,7 +15,7 @@ from smp_gym.tasks.status import Status
 
 __all__ = ["POTENTIAL_PER_METRE", "CommonRules"]
 
-POTENTIAL_PER_METRE = 20.0
+POTENTIAL_PER_METRE = 2.0
 """Rise of the dense reward's potential towards the goal. The end of an episode, by failure too,
 forgives the distance left: 2 m of it must count for much less than a failure."""
 

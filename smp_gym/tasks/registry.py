@@ -9,9 +9,17 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 
+from smp_gym.scene import FAMILIES
 from smp_gym.tasks.definition import Task, TaskDefinition
 
-__all__ = ["add_task", "make_task", "task_definition", "task_definitions", "task_names"]
+__all__ = [
+    "add_task",
+    "make_task",
+    "task_definition",
+    "task_definitions",
+    "task_families",
+    "task_names",
+]
 
 _FOLDERS = (
     "placement",
@@ -48,6 +56,16 @@ def task_definition(name: str) -> TaskDefinition:
     if name not in known:
         raise ValueError(f"task must be one of {', '.join(known)}; got {name!r}")
     return known[name]
+
+
+def task_families(name: str) -> tuple[str, ...]:
+    """Return the families of scenes that there are of a task; see `smp_gym.scene.FAMILIES`.
+
+    Raises:
+        ValueError: no such task.
+    """
+    own = task_definition(name).sampler.families
+    return tuple(family for family in FAMILIES if family == FAMILIES[0] or family in own)
 
 
 def make_task(name: str) -> Task:

@@ -19,15 +19,12 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import FrozenEpisode, write_episodes
 from smp_gym.registration import environment_id
 from smp_gym.rollout import rollout
-from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
-from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, Scene
+from smp_gym.sampling import place_without_witness, sample_scene
+from smp_gym.scene import EVALUATION_SEEDS_START, Scene
 from smp_planner.benchmark.worker_pool import workers
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["CROWDED", "certified_half", "make_lists", "solves"]
-
-CROWDED = tuple(name for name in DIFFICULTIES if SPECIFICATIONS[name].obstacles)
-"""Difficulties with obstacles: without, there is nothing to place."""
+__all__ = ["certified_half", "make_lists", "solves"]
 
 METHOD = "rrt_connect"
 ATTEMPTS = 3

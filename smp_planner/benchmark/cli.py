@@ -44,8 +44,8 @@ _Difficulty = Annotated[
 _Family = Annotated[
     str,
     typer.Option(
-        help="Of the scenes: obstacles, or a kind of furniture, which has no difficulty: shelf, "
-        "box, cage, table (Placement and DoubleSidedPlacement)."
+        help="Of the scenes: obstacles, shelf, box, cage, table, clutter, moving or displaced; "
+        "not every task has all of them."
     ),
 ]
 
@@ -195,7 +195,7 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
 def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     """Write rows and summary, and show the summary."""
     from smp_gym.datasets.frozen import load_episodes
-    from smp_gym.sampling import sample_of_family
+    from smp_gym.sampling import sample_scene
     from smp_planner.benchmark.map_accuracy import measure_default_map
     from smp_planner.benchmark.results_folder import write_json
     from smp_planner.benchmark.summary import summarise, table, write_csv
@@ -207,7 +207,7 @@ def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     else:
         seeds = range(manifest.seed, manifest.seed + count)
         scenes = [
-            sample_of_family(task, manifest.family, manifest.difficulty, seed)
+            sample_scene(task, manifest.difficulty, seed, manifest.family)
             for task in manifest.tasks
             for seed in seeds
         ]

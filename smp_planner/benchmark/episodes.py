@@ -49,7 +49,7 @@ class EpisodeKey:
         half: of the frozen list that the episode is from, one of
             `smp_gym.datasets.frozen.HALVES`; its seed then names it there. Empty for an episode
             that is drawn from its seed.
-        family: of the scene, one of `smp_gym.scene.FAMILIES`; furniture disregards the difficulty.
+        family: of the scene, one of `smp_gym.scene.FAMILIES`.
     """
 
     task: str
@@ -159,8 +159,8 @@ class PlayedEpisode:
 
 
 def kind_of_scene(difficulty: str, family: str) -> str:
-    """Return the name of the scenes of a difficulty and a family: furniture has no difficulty."""
-    return f"difficulty {difficulty}" if family == FAMILIES[0] else f"furniture: {family}"
+    """Return the name of the scenes of a difficulty and a family."""
+    return f"difficulty {difficulty}" if family == FAMILIES[0] else f"{family}, {difficulty}"
 
 
 def _goal_error(decoded: DecodedObservation) -> float:

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from smp_gym.datasets.frozen import load_episodes
-from smp_gym.scene import DIFFICULTIES, FAMILIES, FURNISHED_TASKS, TASKS
+from smp_gym.sampling import CROWDED
+from smp_gym.scene import DIFFICULTIES, FAMILIES, TASKS
+from smp_gym.tasks.registry import task_families
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.results_folder import ResultsFolder, read_manifest, read_rows
 from smp_planner.planners.registry import resolve
@@ -131,8 +133,7 @@ def make_manifest(
     """Return the manifest of a run with the versions that are installed.
 
     Methods are given by their specs, and their modules are imported. With `frozen` the episodes are
-    the first ones of the frozen lists, and `seed` must be 0. A `family` of furniture needs tasks
-    that have it, and is in no frozen list.
+    the first ones of the frozen lists, and `seed` must be 0. A `family` needs tasks that have it.
 
     Raises:
         ValueError: a name that does not exist or is given twice, or a number out of range; the
@@ -147,15 +148,14 @@ def make_manifest(
             raise ValueError(f"name each {kind} once and at least one, got {', '.join(names)!r}")
     if difficulty not in DIFFICULTIES:
         raise ValueError(f"unknown difficulty {difficulty!r}; there are: {', '.join(DIFFICULTIES)}")
-    if family not in FAMILIES:
-        raise ValueError(f"unknown family {family!r}; there are: {', '.join(FAMILIES)}")
-    if family != FAMILIES[0]:
-        bare = [task for task in tasks if task not in FURNISHED_TASKS]
-        if bare or frozen:
-            raise ValueError(
-                f"family {family!r} needs tasks out of {', '.join(FURNISHED_TASKS)} and is not "
-                f"frozen, got {bare[0] if bare else 'frozen'}"
-            )
+    for task in tasks:
+        if family not in task_families(task):
+            there = ", ".join(task_families(task))
+            raise ValueError(f"unknown family {family!r} of {task}; there are: {there}")
+    if family != FAMILIES[0] and difficulty not in CROWDED:
+        raise ValueError(
+            f"difficulty of family {family} must be one of {', '.join(CROWDED)}; got {difficulty!r}"
+        )
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if seed < 0:

@@ -12,7 +12,7 @@ from gymnasium.wrappers import RecordVideo
 from rollouts import rollout_digest
 
 import smp_gym
-from smp_gym.env import FAILURE_REWARD, SHAPING_DISCOUNT, ManipulationEnv
+from smp_gym.env import FAILURE_REWARD, SHAPING_DISCOUNT, SUCCESS_REWARD, ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS, decode
 from smp_gym.physics.workcell import SUBSTEPS
 from smp_gym.robot import kinematics
@@ -26,6 +26,7 @@ from smp_gym.scene import (
     Goal,
     Obstacle,
 )
+from smp_gym.tasks.common import POTENTIAL_PER_METRE
 from smp_gym.tasks.placement.rules import (
     HELD_OBJECT_POSE,
     NOMINAL_BIN,
@@ -138,7 +139,7 @@ def test_time_runs_out_after_the_limit():
     env.reset(seed=0)
     for step in range(1, MAX_EPISODE_STEPS + 1):
         _, reward, terminated, truncated, info = env.step(STAY)
-        assert (reward, terminated) == (-1.0, False)
+        assert (reward, terminated) == (0.0, False)
         assert truncated is (step == MAX_EPISODE_STEPS)
         assert info["failure"] == ("timeout" if truncated else "")
     env.close()
@@ -340,7 +341,7 @@ def test_an_object_dropped_on_the_table_ends_the_episode_once_it_rests(env):
     assert reward == FAILURE_REWARD
     assert (info["failure"], info["collided"], info["is_success"]) == ("dropped", False, False)
     assert results[3][4]["failure"] == ""
-    assert all(r[1] == -1.0 for r in results[:-1])
+    assert all(r[1] == 0.0 for r in results[:-1])
 
 
 def collide(env, scene, target):
@@ -351,7 +352,7 @@ def collide(env, scene, target):
     assert reward == FAILURE_REWARD
     assert (info["failure"], info["collided"], info["is_success"]) == ("collision", True, False)
     assert decode(observation, "Placement").collided
-    assert all(r[1] == -1.0 and not r[4]["collided"] for r in results[:-1])
+    assert all(r[1] == 0.0 and not r[4]["collided"] for r in results[:-1])
     return info["collision"]
 
 
@@ -481,7 +482,9 @@ def test_rewards_of_batches(env):
     achieved[3, 0] = 1.0  # let go and at rest elsewhere
     achieved[4, [0, 4]] = 1.0, 0.0  # elsewhere, still in the hand
     rewards = env.compute_reward(achieved, desired, [{}] * 5)
-    np.testing.assert_array_equal(rewards, [0.0, -1.0, FAILURE_REWARD, FAILURE_REWARD, -1.0])
+    np.testing.assert_array_equal(
+        rewards, [SUCCESS_REWARD, 0.0, FAILURE_REWARD, FAILURE_REWARD, 0.0]
+    )
 
 
 @pytest.mark.parametrize("finish", [place, lambda e: drive(e, turned(0.6))])
@@ -492,12 +495,12 @@ def test_dense_rewards_add_up_to_sparse_ones_plus_the_first_potential(dense, fin
     scene = scene_with(cube(ahead, 0.025)) if blocked else EMPTY
     observation, _ = dense.reset(options={"scene": scene})
     achieved = observation["achieved_goal"].astype(np.float64)
-    start = -20.0 * np.linalg.norm((achieved - observation["desired_goal"])[:3])
+    start = -POTENTIAL_PER_METRE * np.linalg.norm((achieved - observation["desired_goal"])[:3])
     results = finish(dense)
     assert results[-1][2]
     rewards = np.array([r[1] for r in results])
-    sparse = np.full(len(results), -1.0)
-    sparse[-1] = FAILURE_REWARD if blocked else 0.0
+    sparse = np.zeros(len(results))
+    sparse[-1] = FAILURE_REWARD if blocked else SUCCESS_REWARD
     discounts = SHAPING_DISCOUNT ** np.arange(len(results))
     assert rewards @ discounts == pytest.approx(sparse @ discounts - start, abs=1e-6)
 

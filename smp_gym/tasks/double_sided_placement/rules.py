@@ -151,7 +151,7 @@ class DoubleSidedPlacement(PlacingTask):
         return np.asarray(self.reached(achieved, desired).any(axis=-1))
 
     def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
-        """Return minus the object's distance from the nearer of its places, 20 per metre."""
+        """Return minus the object's distance from the nearer of its places, 2 per metre."""
         distances = [
             np.linalg.norm(achieved[..., at] - desired[..., at], axis=-1) for at in _POSITIONS
         ]

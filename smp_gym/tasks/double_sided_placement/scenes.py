@@ -14,6 +14,7 @@ from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
+from smp_gym.sampling.furniture import FURNITURE
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.transfer import Query, Transfer, make_transfer
@@ -132,7 +133,7 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     return None if rows is None else Draw(first.transfer.start, first.goals, rows)
 
 
-def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
+def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw furniture on both sides, both with a witness; the scene's is that of the first."""
     first, second = _draw_queries(rng)
     drawn = furnish(kind, first, rng)
@@ -145,4 +146,6 @@ def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
     return None
 
 
-SAMPLER = SceneSampler(_draw, _place, _furnish)
+SAMPLER = SceneSampler(
+    _draw, _place, {kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+)

@@ -183,7 +183,7 @@ class DrawS(CommonRules):
         return ended
 
     def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
-        """Return minus the length that is left of the stroke, (...), 20 per metre.
+        """Return minus the length that is left of the stroke, (...), 2 per metre.
 
         It is the distance of the pen to the next demanded checkpoint, and from there the length of
         the stroke.

@@ -108,7 +108,7 @@ class Placement(PlacingTask):
         return np.asarray(near & self._let_go(achieved, desired)) if near.any() else near
 
     def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
-        """Return minus the object's distance from its place, (...), 20 per metre."""
+        """Return minus the object's distance from its place, (...), 2 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return -POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1)
 

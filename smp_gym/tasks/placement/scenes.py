@@ -10,6 +10,7 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
+from smp_gym.sampling.furniture import FURNITURE
 from smp_gym.sampling.specification import SPECIFICATIONS
 from smp_gym.sampling.transfer import Query, Transfer, make_transfer
 from smp_gym.scene import Goal
@@ -51,8 +52,10 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     return None if rows is None else Draw(query.transfer.start, query.goals, rows)
 
 
-def _furnish(kind: str, rng: np.random.Generator) -> Draw | None:
+def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | None:
     return furnish(kind, _draw_query(rng), rng)
 
 
-SAMPLER = SceneSampler(_draw, _place, _furnish)
+SAMPLER = SceneSampler(
+    _draw, _place, {kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+)

@@ -180,7 +180,7 @@ class PushLiftBox(CommonRules):
         return np.asarray(near & held & ~self.collided(achieved))
 
     def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
-        """Return minus the box's distance from its target, (...), 20 per metre."""
+        """Return minus the box's distance from its target, (...), 2 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
         return np.asarray(-POTENTIAL_PER_METRE * np.linalg.norm(offset, axis=-1))
 
