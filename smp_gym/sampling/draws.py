@@ -59,6 +59,11 @@ class SceneSampler:
     place: Drawing | None = None
     families: Mapping[str, Drawing] = field(default_factory=dict)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the families that there are, out of `smp_gym.scene.FAMILIES`."""
+        return (FAMILIES[0], *self.families)
+
     def drawing(self, family: str) -> Drawing:
         """Return the function that draws a family's scenes.
 

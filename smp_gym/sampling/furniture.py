@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smp_gym.scene import FAMILIES, Obstacle
+from smp_gym.scene import Obstacle
 
 __all__ = ["FURNITURE", "Place", "draw_furniture"]
 
@@ -201,9 +201,8 @@ _BUILDERS: dict[str, tuple[_Build, _Put]] = {
     "table": (_table, _between),
 }
 
-FURNITURE = FAMILIES[1:]
+FURNITURE = tuple(_BUILDERS)
 """Kinds of furniture."""
-assert tuple(_BUILDERS) == FURNITURE
 
 
 def draw_furniture(kind: str, place: Place, rng: np.random.Generator) -> tuple[Obstacle, ...]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 
-from smp_gym.scene import FAMILIES
 from smp_gym.tasks.definition import Task, TaskDefinition
 
 __all__ = [
@@ -64,8 +63,7 @@ def task_families(name: str) -> tuple[str, ...]:
     Raises:
         ValueError: no such task.
     """
-    own = task_definition(name).sampler.families
-    return tuple(family for family in FAMILIES if family == FAMILIES[0] or family in own)
+    return task_definition(name).sampler.names
 
 
 def make_task(name: str) -> Task:

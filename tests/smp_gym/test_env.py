@@ -307,7 +307,7 @@ def test_a_scripted_placement_succeeds(env, seed):
     observation, reward, terminated, _, info = results[-1]
     assert terminated
     assert info["is_success"]
-    assert reward == 0.0
+    assert reward == SUCCESS_REWARD
     assert [r[1] for r in results[:-1]] == [-1.0] * (len(results) - 1)
     assert (info["failure"], info["collided"], info["collision"]) == ("", False, None)
     x, y, z = decode(observation, "Placement").object.position
