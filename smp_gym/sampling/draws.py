@@ -74,13 +74,12 @@ class SceneSampler:
 
 
 def first_scene(
-    drawing: Drawing, difficulty: str, rng: np.random.Generator, attempts: int, **identity: Any
+    drawing: Drawing, rng: np.random.Generator, attempts: int, **identity: Any
 ) -> tuple[Scene, FloatArray | None]:
     """Draw until everything fits together; return the scene and its witness.
 
     Args:
         drawing: draws once.
-        difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         rng: source of all randomness.
         attempts: how often at most.
         identity: fields of the `Scene` that say which it is: task, version, family, difficulty,
@@ -91,7 +90,7 @@ def first_scene(
     """
     for _ in range(attempts):
         try:
-            drawn = drawing(difficulty, rng)
+            drawn = drawing(identity["difficulty"], rng)
         except UnreachableError:
             continue
         if drawn is not None:

@@ -96,7 +96,7 @@ def place_without_witness(
     version = _checked(seed, definition.version if version is None else version)
     rng = generator(task, f"{difficulty}/without a witness", seed, version)
     identity = {"task": task, "version": version, "difficulty": difficulty}
-    return first_scene(definition.sampler.place, difficulty, rng, _MAX_DRAWS, **identity)[0]
+    return first_scene(definition.sampler.place, rng, _MAX_DRAWS, **identity)[0]
 
 
 def _sample(
@@ -121,7 +121,7 @@ def _sample(
         "difficulty": difficulty,
         "seed": seed,
     }
-    return first_scene(definition.sampler.drawing(family), difficulty, rng, _MAX_DRAWS, **identity)
+    return first_scene(definition.sampler.drawing(family), rng, _MAX_DRAWS, **identity)
 
 
 def _checked(seed: int, version: int) -> int:
