@@ -19,10 +19,15 @@ __all__ = ["GRASP_FINGER_ANGLES", "PLACING_FLAGS", "SET_DOWN", "PlacingTask"]
 GRASP_FINGER_ANGLES = (0.97, 0.97, 0.0, 0.0)
 """Angles of the fingers that hold the default object (proximal 1, 2, tip 1, 2), rad."""
 
-PLACING_FLAGS: tuple[Field, ...] = (flag("collided"), flag("released"), flag("at_rest"))
+PLACING_FLAGS: tuple[Field, ...] = (
+    flag("collided"),
+    flag("released"),
+    flag("at_rest"),
+    flag("supported"),
+)
 """Flags of the goals of tasks that set an object down, the last fields of their goal vectors."""
 
-SET_DOWN = {"collided": 0.0, "released": 1.0, "at_rest": 1.0}
+SET_DOWN = {"collided": 0.0, "released": 1.0, "at_rest": 1.0, "supported": 1.0}
 """Values of these flags in the desired goal."""
 
 _CONTACTS_HELD = frozenset({("hand", "hand"), ("hand", "object")})
@@ -34,9 +39,9 @@ class PlacingTask(CommonRules, ABC):
 
     The held object may touch nothing but the hand. Once let go and come to rest it has been placed,
     which ends the episode: where it should be with success, anywhere else with the penalty of a
-    collision. Without the penalty dropping would be an escape; without the end an agent that learns
-    from hindsight finds that letting go at once always reaches some goal, and hardly ever that it
-    misses the desired one.
+    collision. Without the penalty dropping would be an escape. Let go, the object is nowhere a
+    success but on a support, whatever goal is desired: otherwise an agent that learns from
+    hindsight would find that letting go at once always reaches some goal.
     """
 
     support: ClassVar[str]
@@ -90,11 +95,15 @@ class PlacingTask(CommonRules, ABC):
             "collided": float(status.collided),
             "released": float("hand" not in status.object_contacts),
             "at_rest": float(status.at_rest),
+            "supported": float(self.support in status.object_contacts),
         }
 
     def _let_go(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
-        """Return whether the demanded flags are up and nothing collided, (...)."""
+        """Return whether the demanded flags are up, nothing collided and nothing was dropped."""
         released, at_rest = self._flag("released"), self._flag("at_rest")
         up = achieved[..., released] >= desired[..., released]
         still = achieved[..., at_rest] >= desired[..., at_rest]
-        return np.asarray(up & still & ~self.collided(achieved))
+        supported = achieved[..., self._flag("supported")]
+        there = supported >= desired[..., self._flag("supported")]
+        dropped = (achieved[..., released] > 0.5) & (supported <= 0.5)
+        return np.asarray(up & still & there & ~dropped & ~self.collided(achieved))

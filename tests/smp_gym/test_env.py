@@ -308,7 +308,7 @@ def test_a_scripted_placement_succeeds(env, seed):
     assert terminated
     assert info["is_success"]
     assert reward == SUCCESS_REWARD
-    assert [r[1] for r in results[:-1]] == [-1.0] * (len(results) - 1)
+    assert [r[1] for r in results[:-1]] == [0.0] * (len(results) - 1)
     assert (info["failure"], info["collided"], info["collision"]) == ("", False, None)
     x, y, z = decode(observation, "Placement").object.position
     bin_x, bin_y, floor = env.scene.goals[0].position
@@ -475,7 +475,7 @@ def test_reward_of_goals_is_the_reward_of_the_step(env):
 
 
 def test_rewards_of_batches(env):
-    desired = np.tile([0.5, 0.3, 0.04, 0.0, 1.0, 1.0], (5, 1))
+    desired = np.tile([0.5, 0.3, 0.04, 0.0, 1.0, 1.0, 1.0], (5, 1))
     achieved = desired.copy()
     achieved[1, [0, 5]] = 1.0, 0.0  # elsewhere and not yet at rest
     achieved[2, 3] = 1.0  # collided

@@ -131,8 +131,8 @@ class DoubleSidedPlacement(PlacingTask):
         """Return a mask over `SIDES` of reached goals.
 
         Args:
-            achieved: (..., 9) achieved goals.
-            desired: (..., 9) desired goals; flags of 1 are demanded.
+            achieved: (..., 10) achieved goals.
+            desired: (..., 10) desired goals; flags of 1 are demanded.
 
         Returns:
             (..., 2) whether the position is right (within the pad's square in x and y, to 1.5 cm in
@@ -147,7 +147,7 @@ class DoubleSidedPlacement(PlacingTask):
         return there & self._let_go(achieved, desired)[..., None] if there.any() else there
 
     def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
-        """Return whether goals (..., 9) are reached on either side, (...)."""
+        """Return whether goals (..., 10) are reached on either side, (...)."""
         return np.asarray(self.reached(achieved, desired).any(axis=-1))
 
     def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:

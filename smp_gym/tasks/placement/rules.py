@@ -95,8 +95,8 @@ class Placement(PlacingTask):
         """Return whether goals are reached.
 
         Args:
-            achieved: (..., 6) achieved goals.
-            desired: (..., 6) desired goals; flags of 1 are demanded.
+            achieved: (..., 7) achieved goals.
+            desired: (..., 7) desired goals; flags of 1 are demanded.
 
         Returns:
             (...) whether the position is right to within the bin (8 cm in x and in y, 5 cm in

@@ -19,11 +19,10 @@ from smp_gym.observation import decode
 from smp_gym.robot.pen import pen_path
 from smp_gym.sampling import (
     place_without_witness,
-    sample_furniture,
     sample_scene,
     sample_with_witness,
 )
-from smp_gym.scene import FURNISHED_TASKS, TASKS, Goal, Scene, goal_boxes
+from smp_gym.scene import FAMILIES, TASKS, Goal, Scene, goal_boxes
 from smp_gym.tasks import registry, task_definition, task_names
 
 ID = "smp_gym/ReachPoint-v3"
@@ -40,7 +39,9 @@ def registered():
 
 def test_names_ids_and_furniture_follow_from_the_definitions():
     assert TASKS == ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
-    assert TASKS[:2] == FURNISHED_TASKS
+    assert [task for task in TASKS if "shelf" in registry.task_families(task)] == list(TASKS[:2])
+    for task in TASKS:
+        assert set(registry.task_families(task)) <= set(FAMILIES)
     assert [entry.id for entry in smp_gym.ENVIRONMENTS] == [
         f"smp_gym/{task}{suffix}-v0" for task in TASKS for suffix in ("", "Dense")
     ]
@@ -104,8 +105,8 @@ def test_its_picture_shows_the_point():
 def test_what_it_does_not_have_is_an_error():
     with pytest.raises(ValueError, match="scenes of ReachPoint are not placed without a witness"):
         place_without_witness("ReachPoint", "easy", 0)
-    with pytest.raises(ValueError, match="to be furnished; got 'ReachPoint'"):
-        sample_furniture("ReachPoint", "shelf", 0)
+    with pytest.raises(ValueError, match="family of ReachPoint must be one of obstacles; got 'sh"):
+        sample_scene("ReachPoint", "easy", 0, "shelf")
     with pytest.raises(ValueError, match="family of ReachPoint"):
         gymnasium.make(ID, family="shelf")
     with pytest.raises(ValueError, match=r"kind must be one of .*lift, point; got 'hoop'"):
@@ -124,7 +125,7 @@ def test_a_name_is_taken_once():
     "first", ["smp_gym.scene", "smp_gym.sampling", "smp_gym.datasets.demonstrations", "smp_gym.env"]
 )
 def test_no_module_is_needed_before_another(first):
-    code = f"import {first}; from smp_gym.scene import FURNISHED_TASKS; print(FURNISHED_TASKS)"
+    code = f"import {first}; from smp_gym.scene import TASKS; print(TASKS)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "DoubleSidedPlacement" in done.stdout
 
