@@ -27,6 +27,7 @@ def path_through(
     *,
     iterations: int,
     step: float,
+    counted: list[int] | None = None,
 ) -> list[FloatArray] | None:
     """Return free paths from a start through one configuration of each layer, or None.
 
@@ -40,6 +41,7 @@ def path_through(
         rng: source of all randomness.
         iterations: of a tree search, at most.
         step: rad, longest edge of its trees.
+        counted: to which the iterations of each tree search are added.
 
     Returns:
         One path (V,n) rad per layer, each beginning where the one before it ends.
@@ -64,7 +66,9 @@ def path_through(
             nodes, costs = ahead[joined], totals[joined, chosen]
             continue
         for i in np.argsort(totals.min(axis=0))[:_ROOTS].tolist():
-            path = rrt_connect(nodes[i], ahead, checker, rng, iterations=iterations, step=step)
+            path = rrt_connect(
+                nodes[i], ahead, checker, rng, iterations=iterations, step=step, counted=counted
+            )
             if path is not None:
                 break
         else:

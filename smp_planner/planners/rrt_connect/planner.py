@@ -8,7 +8,7 @@ neither on the machine nor on what was planned before.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -121,11 +121,13 @@ class _Search:
         problem: to be solved.
         demonstrated: (N,T,6) rad, around which configurations are sought.
         settings: budgets.
+        counted: iterations of the tree searches so far, in order.
     """
 
     problem: Problem
     demonstrated: FloatArray
     settings: RRTConnectSettings
+    counted: list[int] = field(default_factory=list)
 
     @property
     def robot(self) -> RobotModel:
@@ -185,7 +187,15 @@ class _Search:
     ) -> FloatArray | None:
         """Return a short free path (V,6) rad from a configuration to one of several, or None."""
         s = self.settings
-        path = rrt_connect(start, goals, checker, rng, iterations=s.iterations, step=s.step)
+        path = rrt_connect(
+            start,
+            goals,
+            checker,
+            rng,
+            iterations=s.iterations,
+            step=s.step,
+            counted=self.counted,
+        )
         return None if path is None else shortcut(path, checker, s.shortcuts, rng)
 
     def passes(self, trajectory: FloatArray) -> bool:
@@ -211,7 +221,15 @@ class _Search:
         checker = self.checker([start[None], *layers])
         # Each search has its own half of the configurations, so that not all find the same path.
         halves = [layer[rng.permutation(len(layer))[: (len(layer) + 1) // 2]] for layer in layers]
-        found = path_through(start, halves, checker, rng, iterations=s.iterations, step=s.step)
+        found = path_through(
+            start,
+            halves,
+            checker,
+            rng,
+            iterations=s.iterations,
+            step=s.step,
+            counted=self.counted,
+        )
         if found is None:
             return None
         pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in found]
@@ -331,8 +349,9 @@ class RRTConnectPlanner:
                 )
             layers = search.layers() if problem.via_points else []
         with stopwatch.stage("search"):
-            found = []
+            found, iterations = [], []
             for index in range(settings.particles):
+                search.counted.clear()
                 rng = np.random.default_rng([problem.seed, 2, index])
                 if problem.via_poses:
                     found.append(search.by_poses(rng))
@@ -340,6 +359,7 @@ class RRTConnectPlanner:
                     found.append(search.through(layers, rng))
                 else:
                     found.append(search.direct(goals, rng))
+                iterations.append(sum(search.counted))
         with stopwatch.stage("verification"):
             # Where no path was found a straight one stands, so that the set has its size.
             ends = np.stack([problem.start, goals[0]])
@@ -349,7 +369,10 @@ class RRTConnectPlanner:
             plan = make_plan(
                 problem,
                 trajectories,
-                {"length": np.array([path_length(path) for path in trajectories])},
+                {
+                    "length": np.array([path_length(path) for path in trajectories]),
+                    "iterations": np.array(iterations, np.float64),
+                },
                 PlanSettings(particles=len(found), duration_limit=settings.duration_limit),
                 reason=(
                     f"{sum(path is not None for path in found)} of {settings.particles} searches "

@@ -52,7 +52,9 @@ def _extend(world, scratch, nodes, parents, count, source, target, step):
 
 @kernel
 def _search(world, samples, step, nodes, parents, counts):
-    """Grow both trees until they meet; return the nodes where they do, or (-1, -1).
+    """Grow both trees until they meet; return the nodes where they do, and the iterations.
+
+    The nodes are (-1, -1) where the trees have not met.
 
     Args:
         world: an `edge_check.World`.
@@ -73,7 +75,7 @@ def _search(world, samples, step, nodes, parents, counts):
             outcome = 1
             while outcome == 1:
                 if counts[tree] == room:
-                    return -1, -1
+                    return -1, -1, i + 1
                 outcome = _extend(
                     world, scratch, nodes[tree], parents[tree], counts[tree], node, target, step
                 )
@@ -84,12 +86,12 @@ def _search(world, samples, step, nodes, parents, counts):
                     break
             if greedy and outcome == 2:
                 met = counts[1 - tree] - 1
-                return (node, met) if tree == 0 else (met, node)
+                return (node, met, i + 1) if tree == 0 else (met, node, i + 1)
             if greedy or outcome == 0:
                 break
             target, greedy = nodes[tree, node], True
             tree = 1 - tree
-    return -1, -1
+    return -1, -1, samples.shape[0]
 
 
 def _branch(nodes: FloatArray, parents: NDArray[np.int64], leaf: int) -> FloatArray:
@@ -108,6 +110,7 @@ def rrt_connect(
     *,
     iterations: int = 10_000,
     step: float = 0.5,
+    counted: list[int] | None = None,
 ) -> FloatArray | None:
     """Return a path from a configuration to one of several others, or None if none was found.
 
@@ -124,6 +127,8 @@ def rrt_connect(
         rng: source of all randomness.
         iterations: how often a tree takes a step, at most.
         step: rad, longest edge.
+        counted: to which the number of iterations that it took is added; none where an end is not
+            free, and there is nothing to search.
 
     Returns:
         (V,n) rad, its edges free.
@@ -156,9 +161,11 @@ def rrt_connect(
     for tree, roots in enumerate((root[None], ends)):
         nodes[tree, : len(roots)] = roots
         parents[tree, : len(roots)] = -1
-    met = _search(checker.world, samples, float(step), nodes, parents, counts)
-    if met[0] < 0:
+    near, far, taken = _search(checker.world, samples, float(step), nodes, parents, counts)
+    if counted is not None:
+        counted.append(taken)
+    if near < 0:
         return None
-    there = _branch(nodes[0], parents[0], met[0])[::-1]
+    there = _branch(nodes[0], parents[0], near)[::-1]
     # Both branches end in the configuration where the trees met.
-    return np.concatenate([there, _branch(nodes[1], parents[1], met[1])[1:]])
+    return np.concatenate([there, _branch(nodes[1], parents[1], far)[1:]])

@@ -1,0 +1,49 @@
+"""The unadapted primitive: draws of `smp`'s prior, as many and as wide as `smp` has, and no SVGD."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smp_gym.robot.kinematics import UnreachableError
+from smp_planner.experiments.controls.posed_scenes import primitive_of
+from smp_planner.planning.assessment import make_plan
+from smp_planner.planning.pipeline import conditioned_parts, one_thread
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.problem import Problem
+
+__all__ = ["plan_unadapted"]
+
+
+def plan_unadapted(task: str, problem: Problem) -> Plan | None:
+    """Return the first try of the unadapted primitive with a good draw, else its first try.
+
+    A try has as many draws as `smp` has particles; each further one has twice the added deviation,
+    as `smp`'s retries have, and there are as many.
+
+    Args:
+        task: whose primitive it is.
+        problem: to be solved.
+
+    Returns:
+        The plan, its particles the conditioned draws; None if the goal is out of reach.
+    """
+    planner = primitive_of(task)
+    settings, first = planner.plan_settings, None
+    with one_thread():
+        for number in range(settings.retries + 1):
+            try:
+                parts = conditioned_parts(planner.prior, problem, settings, 2.0**number)
+            except UnreachableError:
+                break
+            drawn = [
+                part.primitive.trajectory(part.primitive.unwhiten(part.latent), settings.samples)
+                for part in parts
+            ]
+            distance = [0.5 * part.latent.square().sum(-1).numpy() for part in parts]
+            trajectories = np.concatenate([paths.numpy() for paths in drawn])
+            plan = make_plan(problem, trajectories, {"prior": np.concatenate(distance)}, settings)
+            if first is None or plan.good.any():
+                first = plan
+            if plan.good.any():
+                break
+    return first
