@@ -14,6 +14,7 @@ SCRIPTS = {
     path.stem: path for path in sorted(FOLDER.glob("*.py")) if "__main__" in path.read_text()
 }
 WITH_COMMANDS = {
+    "controls": ("run", "table"),
     "lasa": ("boxes", "compare", "modulate", "tune"),
     "svgd_settings": ("arm", "lasa"),
     "table_two": ("run", "show"),
@@ -23,6 +24,7 @@ EXAMPLES = [
     for name in (
         "check_environments",
         "check_witnesses",
+        "controls",
         "draw_scenes",
         "export_minari",
         "lasa",

@@ -66,7 +66,7 @@ class SearchSettings:
         population: detours in a generation.
         scenes: training scenes that a generation is compared on, all on the same.
         screened: random detours of which the best begin the restarts.
-        deviation: rad, of these.
+        deviation: rad, of the widest of these.
         validation: share of the scenes that are kept for the choice between restarts.
     """
 
@@ -160,6 +160,14 @@ def conditioned_course(task: str, problem: Problem, component: int = 0) -> Cours
         return Course(problem, mean, _directions(prior, posterior))
 
 
+def _scale(courses: Sequence[Course]) -> FloatArray:
+    """Return (F,) numbers that move a joint by about 1 rad: more where much is conditioned away."""
+    if not courses:
+        return np.ones(FUNCTIONS * 6)
+    moved = [np.abs(course.directions).max(axis=(1, 2)) for course in courses]
+    return 1.0 / np.maximum(np.median(moved, axis=0), 1e-2)
+
+
 class _Scorer:
     """The softened count of free scenes, of a course's detours."""
 
@@ -219,6 +227,7 @@ def detours_free(courses: Sequence[Course | None], numbers: FloatArray, task: st
 def _improve(
     scorers: Sequence[_Scorer],
     begin: FloatArray,
+    scale: FloatArray,
     settings: SearchSettings,
     rng: np.random.Generator,
 ) -> tuple[list[FloatArray], FloatArray]:
@@ -227,7 +236,7 @@ def _improve(
     elite = count // 4
     weights = np.log(elite + 0.5) - np.log(np.arange(1, elite + 1))
     weights /= weights.sum()
-    mean, covariance = begin, np.eye(len(begin)) * (0.5 * settings.deviation) ** 2
+    mean, covariance = begin, np.diag((0.4 * settings.deviation * scale) ** 2)
     curve, means = np.empty(settings.generations), []
     for generation in range(settings.generations):
         share = generation / max(settings.generations - 1, 1)
@@ -282,14 +291,16 @@ def _of_component(
     courses = [conditioned_course(task, problem, component) for problem in problems]
     last = max(1, round(settings.validation * len(courses)))
     scorers = [_Scorer(course) for course in courses[:-last] if course is not None]
-    functions = FUNCTIONS * 6
-    numbers = settings.deviation * rng.standard_normal((settings.screened, functions))
+    scale = _scale([course for course in courses if course is not None])
+    # Of all widths: where there is little room, nothing wide leaves a scene free.
+    width = settings.deviation * np.geomspace(0.1, 1.0, settings.screened)[:, None]
+    numbers = width * scale * rng.standard_normal((settings.screened, len(scale)))
     numbers[0] = 0.0
     screening = scorers[: settings.scenes // 2]
     order = np.argsort(-_score(screening, numbers, _SOFTNESS[0]), kind="stable")
     candidates, curves = [numbers[:1]], []
     for restart in range(settings.restarts):
-        means, curve = _improve(scorers, numbers[order[restart]], settings, rng)
+        means, curve = _improve(scorers, numbers[order[restart]], scale, settings, rng)
         candidates.append(np.array(means))
         curves.append(curve)
     pool = np.concatenate(candidates)

@@ -1,4 +1,4 @@
-"""The unadapted primitive: draws of `smp`'s prior, as many and as wide as `smp` has, and no SVGD."""
+"""The unadapted primitive: as many and as wide draws of the prior as `smp` has, and no SVGD."""
 
 from __future__ import annotations
 
