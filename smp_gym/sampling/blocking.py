@@ -1,4 +1,9 @@
-"""Obstacles that block most trajectories to a goal, with or without a witness that gets by."""
+"""Obstacles that block most trajectories to a goal, with or without a witness that gets by.
+
+The witness is drawn at random from the family first, then obstacles are chosen that come near it
+and block as many of the others as they can. So the place of the opening varies from scene to scene
+as the family does: no one detour gets through many of them.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +26,17 @@ from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
 __all__ = ["block", "block_around_witness"]
 
 _MAX_FAMILIES = 4
+_MAX_WITNESSES = 3
 _MAX_ROUNDS = 3
-_MAX_CHOICES = 12
-"""Numbers of families tried for a goal, of rounds that add candidates for a family, and of choices
-made from them in each round."""
+_MAX_CHOICES = 6
+"""Numbers of families tried for a goal, of witnesses tried of a family, of rounds that add
+candidates for a witness, and of choices made from them in each round."""
 
 _PARENTS = 24
 """Number of the candidates that have children, others that resemble them."""
 
 _GLANCE = 8
-"""Every so-many-th sample of another witness is looked at first."""
+"""Every so-many-th sample of a witness is looked at first."""
 
 _NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
 
@@ -40,50 +46,50 @@ def _choices(
     specification: DifficultySpecification,
     family: Family,
     others: FloatArray,
-    able: BoolArray,
-    useful: Callable[[FloatArray], Candidates],
+    useful: Callable[[FloatArray], BoolArray],
     rng: np.random.Generator,
-) -> Iterator[tuple[FloatArray, BoolArray]]:
-    """Yield choices of obstacles that block the mean and enough of the proposals.
+) -> Iterator[FloatArray]:
+    """Yield choices of obstacles that block the mean and enough of proposals and wider detours.
 
     Args:
         query: which transfer to which goal.
         specification: of these obstacles.
         family: of the trajectories to the goal.
         others: (K, 9) rows of obstacles that the scene holds besides.
-        able: (N,) which members may serve as witness; it may change between choices.
-        useful: returns those of obstacles (C, 9) that may be chosen.
+        useful: returns which of obstacles (C, 9) may be chosen.
         rng: source of all randomness.
 
     Yields:
-        (M, 9) rows, and (N,) from which members all of them keep their clearance, on the grid.
+        (M, 9) rows.
     """
-    crowd = specification.obstacles > 0
-    proposed = family.free[: family.proposals]
+    if not specification.obstacles:
+        yield _NO_ROWS
+        return
     already = family.blocked(others).sum(axis=0)
-    most = int(specification.free_share * proposed.sum())
-    candidates = Candidates.none(family, len(able))
-    free = proposed & (already == 0)
-    for _ in range(_MAX_ROUNDS if crowd else 1):
-        if crowd:
-            # What is left free after a choice shows where obstacles are missing.
-            pool = draw_candidates(query, family, free, rng)
-            candidates = candidates.joined(useful(pool))
-            pool = vary(query, candidates.most_blocking(_PARENTS), rng)
-            candidates = candidates.joined(useful(pool))
+    candidates = Candidates.none(family)
+    free = family.free & (already == 0)
+    for _ in range(_MAX_ROUNDS):
+        # What is left free after a choice shows where obstacles are missing.
+        pool = draw_candidates(query, family, free, rng)
+        candidates = candidates.joined(Candidates.guessed(family, pool[useful(pool)]))
+        pool = vary(query, candidates.most_blocking(_PARENTS), rng)
+        candidates = candidates.joined(Candidates.guessed(family, pool[useful(pool)]))
         for _ in range(_MAX_CHOICES):
-            choice = choose(
-                candidates.rows, candidates.blocks, candidates.clears & able, already, specification
-            )
+            choice = choose(candidates.rows, candidates.blocks, already, specification)
             if choice is None:
                 break
             known = candidates.check(family, choice)
-            free = proposed & (already == 0) & ~candidates.blocks[choice].any(axis=0)
-            if crowd and (free[0] or free.sum() > most):
-                if known:
-                    break
-                continue
-            yield candidates.rows[choice], np.all(candidates.clears[choice], axis=0)
+            free = family.free & (already == 0) & ~candidates.blocks[choice].any(axis=0)
+            share, wide_share = family.shares(free)
+            if (
+                not free[0]
+                and share <= specification.free_share
+                and wide_share <= specification.wide_share
+            ):
+                yield candidates.rows[choice]
+                break
+            if known:
+                break
 
 
 def block_around_witness(
@@ -92,7 +98,7 @@ def block_around_witness(
     rng: np.random.Generator,
     before: Draw | None = None,
 ) -> Draw | None:
-    """Draw obstacles between start and goal, and a witness; None if they do not fit together.
+    """Draw a witness, and obstacles between start and goal; None if they do not fit together.
 
     Args:
         query: which transfer to which goal.
@@ -108,51 +114,46 @@ def block_around_witness(
     counts = (query.transfer.proposals, query.transfer.wide) if crowd else (0, 0)
     for _ in range(_MAX_FAMILIES if crowd else 1):
         family = draw_family(query, *counts, rng)
-        drawn = _place(query, specification, family, rng, before)
+        drawn = _enclose(query, specification, family, rng, before)
         if drawn is not None:
             return drawn
     return None
 
 
-def _place(
+def _enclose(
     query: Query,
     specification: DifficultySpecification,
     family: Family,
     rng: np.random.Generator,
     before: Draw | None,
 ) -> Draw | None:
-    """Draw obstacles for a family and find its witness; None if too much is free or nothing."""
+    """Draw a witness out of a family and obstacles around it; None if too much stays free."""
     transfer, clearance = query.transfer, specification.clearance
     others = _NO_ROWS if before is None else before.rows
-    able = family.able & ~family.near(others, clearance).any(axis=0)
+    earlier = None if before is None else before.witness
+    able = np.flatnonzero(family.able & ~family.near(others, clearance).any(axis=0))
     bodies = fixture_rows(query.goals)
 
-    def leaves_clear(trajectory: FloatArray, rows: FloatArray) -> BoolArray:
+    def clear(trajectory: FloatArray, rows: FloatArray) -> BoolArray:
         return np.asarray(transfer.clearances(trajectory, rows, clearance) >= clearance)
 
-    def useful(rows: FloatArray) -> Candidates:
-        if before is not None and before.witness is not None:
-            rows = rows[leaves_clear(before.witness[::_GLANCE], rows)]
-            rows = rows[apart(rows, others).all(axis=1)]
-        clears = ~family.near(rows, clearance)
-        # What blocks every member, at the start or before the goal, is of no use.
-        kept = (clears & able).any(axis=1)
-        return Candidates.guessed(family, rows[kept], clears[kept])
+    for index in rng.permutation(able)[:_MAX_WITNESSES]:
+        witness = member(transfer, family, int(index))
+        if not is_witness(transfer, witness, bodies, others, clearance):
+            continue
+        kept = [witness] if earlier is None else [witness, earlier]
 
-    choices = _choices(query, specification, family, others, able, useful, rng)
-    for rows, clears in choices:
-        witness = None if before is None else before.witness
-        if witness is not None and not leaves_clear(witness, rows).all():
-            return None
-        together = np.concatenate([others, rows])
-        alive = able & clears
-        for index in np.flatnonzero(alive):
-            found = member(transfer, family, int(index))
-            if is_witness(transfer, found, bodies, together, clearance):
-                return Draw(
-                    transfer.start, query.goals, together, found if witness is None else witness
-                )
-        able[alive] = False
+        def useful(rows: FloatArray, kept: list[FloatArray] = kept) -> BoolArray:
+            may: BoolArray = np.asarray(apart(rows, others).all(axis=1))
+            for trajectory in kept:
+                # A glance at few samples spares the close look at most.
+                for samples in (trajectory[::_GLANCE], trajectory):
+                    may[may] = clear(samples, rows[may])
+            return may
+
+        for rows in _choices(query, specification, family, others, useful, rng):
+            together = np.concatenate([others, rows])
+            return Draw(transfer.start, query.goals, together, kept[-1])
     return None
 
 
@@ -180,14 +181,10 @@ def block(
     family = draw_family(query, transfer.proposals, 0, rng)
     end = carry(transfer, query.release, WITNESS_SAMPLES).mean(axis=0)[-1:]
 
-    def useful(rows: FloatArray) -> Candidates:
+    def useful(rows: FloatArray) -> BoolArray:
         clear = transfer.clearances(end, rows, START_CLEARANCE) >= START_CLEARANCE
-        rows = rows[clear & apart(rows, others).all(axis=1)]
-        # One possible witness that nothing comes near.
-        return Candidates.guessed(family, rows, np.ones((len(rows), 1), np.bool_))
+        return np.asarray(clear & apart(rows, others).all(axis=1))
 
-    one = np.ones(1, np.bool_)
-    choices = _choices(query, specification, family, others, one, useful, rng)
-    for rows, _ in choices:
+    for rows in _choices(query, specification, family, others, useful, rng):
         return np.concatenate([others, rows])
     return None

@@ -1,4 +1,4 @@
-"""Candidate obstacles with the proposals that they block: first by the grid, then exactly."""
+"""Candidate obstacles with the trajectories that they block: first by the grid, then exactly."""
 
 from __future__ import annotations
 
@@ -23,39 +23,34 @@ class Candidates:
 
     Attributes:
         rows: (C, 9).
-        blocks: (C, P), which free proposals each blocks, on the grid or exactly.
-        clears: (C, N), from which possible witnesses each keeps its clearance, on the grid.
+        blocks: (C, N), which free members each blocks, on the grid or exactly.
         exact: (C,), where `blocks` is exact.
     """
 
     rows: FloatArray
     blocks: BoolArray
-    clears: BoolArray
     exact: BoolArray
 
     @classmethod
-    def none(cls, family: Family, witnesses: int) -> Candidates:
-        """Return no candidates, for a family with so many possible witnesses."""
+    def none(cls, family: Family) -> Candidates:
+        """Return no candidates, for a family."""
         return cls(
             np.empty((0, kernels.OBSTACLE_COLUMNS)),
-            np.empty((0, family.proposals), np.bool_),
-            np.empty((0, witnesses), np.bool_),
+            np.empty((0, len(family.paths)), np.bool_),
             np.empty(0, np.bool_),
         )
 
     @classmethod
-    def guessed(cls, family: Family, rows: FloatArray, clears: BoolArray) -> Candidates:
-        """Return (C, 9) obstacles with the proposals that they block by the grid."""
-        blocks = family.near(rows, -_GRID_DEPTH)[:, : family.proposals]
-        blocks &= family.free[: family.proposals]
-        return cls(rows, blocks, clears, np.zeros(len(rows), np.bool_))
+    def guessed(cls, family: Family, rows: FloatArray) -> Candidates:
+        """Return (C, 9) obstacles with the members that they block by the grid."""
+        blocks = family.near(rows, -_GRID_DEPTH) & family.free
+        return cls(rows, blocks, np.zeros(len(rows), np.bool_))
 
     def joined(self, other: Candidates) -> Candidates:
         """Return the union of two sets of candidates."""
         return Candidates(
             np.concatenate([self.rows, other.rows]),
             np.concatenate([self.blocks, other.blocks]),
-            np.concatenate([self.clears, other.clears]),
             np.concatenate([self.exact, other.exact]),
         )
 
@@ -66,7 +61,6 @@ class Candidates:
     def check(self, family: Family, chosen: list[int]) -> bool:
         """Make `blocks` of the chosen exact, and return whether it was."""
         guessed = [index for index in chosen if not self.exact[index]]
-        free = family.free[: family.proposals]
-        self.blocks[guessed] = family.blocked(self.rows[guessed]) & free
+        self.blocks[guessed] = family.blocked(self.rows[guessed]) & family.free
         self.exact[guessed] = True
         return not guessed

@@ -1,4 +1,4 @@
-"""The choice of obstacles that together block most and leave a member clear."""
+"""The choice of obstacles that together block most."""
 
 from __future__ import annotations
 
@@ -48,11 +48,10 @@ def apart(rows: FloatArray, others: FloatArray) -> BoolArray:
 def choose(
     rows: FloatArray,
     blocks: BoolArray,
-    clears: BoolArray,
     already: NDArray[np.int64],
     specification: DifficultySpecification,
 ) -> list[int] | None:
-    """Choose obstacles that block most and leave a member clear.
+    """Choose obstacles that block most.
 
     The first two are the best of all pairs of the most blocking candidates, each further one adds
     most, and of more than two each is exchanged while another in its place adds more. A proposal
@@ -61,13 +60,12 @@ def choose(
 
     Args:
         rows: (C, 9) candidates.
-        blocks: (C, P), which proposals each blocks; proposal 0, the mean, must be blocked.
-        clears: (C, N), from which possible witnesses each keeps its clearance.
-        already: (P,), how many obstacles block a proposal without these.
+        blocks: (C, N), which trajectories each blocks; the first, the mean, must be blocked.
+        already: (N,), how many obstacles block a trajectory without these.
         specification: how many to choose, and how many of them, the last, on the table.
 
     Returns:
-        Indices of the chosen; None if nobody would be left clear.
+        Indices of the chosen; None if there are too few.
     """
     if specification.obstacles == 0:
         return []
@@ -78,7 +76,6 @@ def choose(
         np.ascontiguousarray(rows[order]),
         widths(rows)[order],
         blocks[order],
-        clears[order],
         already,
         specification.obstacles,
         specification.on_table,
@@ -96,12 +93,10 @@ def _beside(rows: FloatArray, width: FloatArray, a: int, b: int) -> bool:
 
 
 @kernel
-def _best_pair(
-    rows: FloatArray, width: FloatArray, blocks: NDArray[np.uint64], clears: NDArray[np.uint64]
-) -> tuple[int, int]:
+def _best_pair(rows: FloatArray, width: FloatArray, blocks: NDArray[np.uint64]) -> tuple[int, int]:
     """Return the two obstacles that together block most; the most blocking must come first.
 
-    Bit 0 of `blocks` must be set in one of them, and `clears` must have a bit in common.
+    Bit 0 of `blocks` must be set in one of them.
     """
     first, second = -1, -1
     best = np.int64(-1)
@@ -121,12 +116,8 @@ def _best_pair(
             total = np.int64(0)
             for v in range(blocks.shape[1]):
                 total += ones(blocks[i, v] | blocks[j, v])
-            if total <= best or not _beside(rows, width, i, j):
-                continue
-            for w in range(clears.shape[1]):
-                if clears[i, w] & clears[j, w]:
-                    best, first, second = total, i, j
-                    break
+            if total > best and _beside(rows, width, i, j):
+                best, first, second = total, i, j
     return first, second
 
 
@@ -137,18 +128,15 @@ def _best_at(
     rows: FloatArray,
     width: FloatArray,
     blocks: BoolArray,
-    clears: NDArray[np.uint64],
     already: NDArray[np.int64],
     on_table: bool,
 ) -> int:
     """Return the best candidate for a slot beside the other chosen, -1 if none fits there."""
     times = already.copy()
-    alive = np.full(clears.shape[1], ~np.uint64(0))
     mean = already[0] > 0
     for s in range(len(chosen)):
         if s != slot and chosen[s] >= 0:
             times += blocks[chosen[s]]
-            alive &= clears[chosen[s]]
             mean = mean or blocks[chosen[s], 0]
     weight = REPEATED**times
     best, worth = -1, -1.0
@@ -161,9 +149,7 @@ def _best_at(
                 value += weight[n]
         if value <= worth:
             continue
-        fits = False
-        for w in range(len(alive)):
-            fits = fits or (clears[m, w] & alive[w]) != 0
+        fits = True
         for s in range(len(chosen)):
             if s != slot and chosen[s] >= 0 and not _beside(rows, width, m, chosen[s]):
                 fits = False
@@ -177,18 +163,16 @@ def _choose(
     rows: FloatArray,
     width: FloatArray,
     blocks: BoolArray,
-    clears: BoolArray,
     already: NDArray[np.int64],
     count: int,
     on_table: int,
 ) -> NDArray[np.int64]:
-    """Return the (count,) indices of the chosen, the first -1 if nobody would be left clear."""
+    """Return the (count,) indices of the chosen, the first -1 if there are too few."""
     chosen = np.full(count, -1)
-    words = packed(clears)
     if count - on_table >= 2:
         new = blocks[:_PAIRED] & (already == 0)
         new[:, 0] |= already[0] > 0
-        pair = _best_pair(rows, width, packed(new), words[:_PAIRED])
+        pair = _best_pair(rows, width, packed(new))
         if pair[0] < 0:
             return chosen
         chosen[0], chosen[1] = pair
@@ -199,7 +183,7 @@ def _choose(
             if sweep == 0 and chosen[slot] >= 0:
                 continue
             table = slot >= count - on_table
-            best = _best_at(slot, chosen, rows, width, blocks, words, already, table)
+            best = _best_at(slot, chosen, rows, width, blocks, already, table)
             if best < 0:
                 chosen[0] = -1
                 return chosen

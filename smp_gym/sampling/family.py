@@ -59,9 +59,19 @@ class Family:
         return near(self.grid, rows, distance, len(self.paths))
 
     def blocked(self, rows: FloatArray) -> BoolArray:
-        """Return a mask (C, P) of proposals that obstacles block, checked without the grid."""
-        paths = self.paths[: self.proposals]
-        return kernels.blocked_paths(paths, self.radius, rows, BLOCKING_DEPTH)
+        """Return a mask (C, N) of members that obstacles block, checked without the grid."""
+        return kernels.blocked_paths(self.paths, self.radius, rows, BLOCKING_DEPTH)
+
+    def shares(self, free: BoolArray) -> tuple[float, float]:
+        """Return the shares of proposals and of wider detours, free by themselves, still free (N,).
+
+        Without wider detours their share is 0.
+        """
+        wide = self.free[self.proposals :].sum()
+        return (
+            float(free[: self.proposals].sum() / max(1, self.free[: self.proposals].sum())),
+            float(free[self.proposals :].sum() / max(1, wide)),
+        )
 
 
 def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generator) -> Family:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
+from smp_gym.sampling.bodies import draw_bodies, vary_bodies
 from smp_gym.sampling.choice import widths
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.family import Family
@@ -42,24 +43,23 @@ SHAPE_SHARES = (0.5, 0.3, 0.2)
 _CANDIDATES = 300
 """Number of obstacles drawn to choose from."""
 
-_SHIFT = 0.02
 _CHILDREN = 150
-"""Children of the obstacles that block most: their shift, m, and their number."""
+"""Number of children of the obstacles that block most."""
 
 
 def draw_candidates(
-    query: Query, family: Family, proposals: BoolArray, rng: np.random.Generator
+    query: Query, family: Family, which: BoolArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return rows of obstacles near the paths of (P,) proposals, off table, goals and start."""
+    """Return rows of obstacles near the paths of members (N,), off table, goals and start."""
     transfer, count = query.transfer, _CANDIDATES
-    pool = np.flatnonzero(proposals)
+    pool = np.flatnonzero(which)
     if not len(pool):
         return np.empty((0, kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
     sample = rng.integers(transfer.samples, size=count)
     hand = np.flatnonzero(transfer.spheres.link[transfer.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
-    rows = draw_rows(family.paths[member, sample, sphere], family.radius[sphere], 2.0, rng)
+    rows = draw_bodies(family.paths[member, sample, sphere], family.radius[sphere], rng)
     return rows[_fits(query, rows)]
 
 
@@ -88,16 +88,8 @@ def draw_rows(
 
 
 def vary(query: Query, rows: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return rows of obstacles that resemble the given ones, but are larger and turned anew."""
-    count = _CHILDREN if len(rows) else 0
-    children = rows[rng.integers(max(1, len(rows)), size=count)]
-    on_table = children[:, 3] == children[:, 8]
-    children[:, 1:4] += rng.normal(0.0, _SHIFT, (count, 3))
-    grown = children[:, 6:] + rng.uniform(size=(count, 3)) * (HALF_EXTENTS[1] - children[:, 6:])
-    children[:, 6:] = _sizes(children[:, 0], grown)
-    children[:, 3] = np.where(on_table, children[:, 8], children[:, 3])
-    yaw = rng.uniform(-np.pi, np.pi, size=count)
-    children[:, 4], children[:, 5] = np.cos(yaw), np.sin(yaw)
+    """Return rows of obstacles that resemble the given ones, but are shifted, turned and wider."""
+    children = vary_bodies(rows, _CHILDREN, rng)
     return children[_fits(query, children)]
 
 

@@ -16,22 +16,24 @@ class DifficultySpecification:
 
     Attributes:
         obstacles: how many.
-        on_table: how many of them must stand on the table; the others stand or float.
+        on_table: how many of them must stand on the table; the others stand, hang or lie across.
         clearance: m, what every obstacle leaves between itself and the witness's spheres.
         free_share: share of the proposals that may stay free; where more do, it is drawn anew.
+        wide_share: likewise, of the wider detours from which the witness is drawn.
     """
 
     obstacles: int
     on_table: int
     clearance: float
     free_share: float
+    wide_share: float = 1.0
 
 
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=0.03),
-    "medium": DifficultySpecification(obstacles=4, on_table=1, clearance=0.030, free_share=0.01),
-    "hard": DifficultySpecification(obstacles=6, on_table=1, clearance=0.020, free_share=0.0),
+    "easy": DifficultySpecification(2, 0, clearance=0.04, free_share=0.02, wide_share=0.35),
+    "medium": DifficultySpecification(4, 1, clearance=0.02, free_share=0.0, wide_share=0.12),
+    "hard": DifficultySpecification(6, 1, clearance=0.01, free_share=0.0, wide_share=0.05),
 }
 
 CROWDED = tuple(name for name, chosen in SPECIFICATIONS.items() if chosen.obstacles)

@@ -65,6 +65,7 @@ def draw(seed, elapsed=0):
         "collided": seed % 2,
         "released": 0.0,
         "at_rest": 1.0,
+        "supported": 0.0,
     }
     return scene, robot, manipulated, Encoder(scene).encode(robot, manipulated, achieved, elapsed)
 
@@ -101,7 +102,13 @@ def test_the_step_count_survives_float32(elapsed):
 def test_values_beyond_the_bounds_are_clipped_into_them():
     scene, robot, manipulated, _ = draw(0)
     flying = ObjectState(**{**vars(manipulated), "linear_velocity": np.full(3, 1e6)})
-    achieved = {"object_position": (9, 9, 9), "collided": 0, "released": 0, "at_rest": 0}
+    achieved = {
+        "object_position": (9, 9, 9),
+        "collided": 0,
+        "released": 0,
+        "at_rest": 0,
+        "supported": 0,
+    }
     assert SPACE.contains(Encoder(scene).encode(robot, flying, achieved, 0))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from smp_gym.sampling import sample_of_family
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
 from smp_planner.benchmark.results_folder import ResultsError, write_atomically, write_json
 from smp_planner.benchmark.summary import rate_interval
@@ -49,7 +49,7 @@ class ControlCell:
     def scenes(self, first: int, count: int) -> list[Scene]:
         """Return the scenes of so many seeds from one on."""
         seeds = range(first, first + count)
-        return [sample_of_family(self.task, self.family, self.difficulty, k) for k in seeds]
+        return [sample_scene(self.task, self.difficulty, k, self.family) for k in seeds]
 
 
 @dataclass(frozen=True)

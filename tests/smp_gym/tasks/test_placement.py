@@ -27,11 +27,11 @@ from smp_gym.tasks.status import CALM_STEPS
 
 TASK = Placement()
 PLACE = (0.5, 0.3, 0.04)
-DESIRED = np.array([*PLACE, 0.0, 1.0, 1.0])
+DESIRED = np.array([*PLACE, 0.0, 1.0, 1.0, 1.0])
 
 
-def goal(offset=(0.0, 0.0, 0.0), collided=0.0, released=1.0, at_rest=1.0):
-    return np.array([*np.add(PLACE, offset), collided, released, at_rest])
+def goal(offset=(0.0, 0.0, 0.0), collided=0.0, released=1.0, at_rest=1.0, supported=1.0):
+    return np.array([*np.add(PLACE, offset), collided, released, at_rest, supported])
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_an_object_balanced_on_the_rim_is_not_in_the_bin():
 
 
 def test_flags_that_are_not_demanded_do_not_matter():
-    in_hand = goal(released=0.0, at_rest=0.0)
+    in_hand = goal(released=0.0, at_rest=0.0, supported=0.0)
     assert TASK.success(in_hand, in_hand)
     assert not TASK.success(in_hand, DESIRED)
 
