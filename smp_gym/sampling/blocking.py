@@ -13,6 +13,7 @@ import numpy as np
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
+from smp_gym.sampling.bodies import draw_wall
 from smp_gym.sampling.candidates import Candidates
 from smp_gym.sampling.choice import apart, choose
 from smp_gym.sampling.conversion import fixture_rows
@@ -112,6 +113,9 @@ def block_around_witness(
     """
     crowd = specification.obstacles > 0
     counts = (query.transfer.proposals, query.transfer.wide) if crowd else (0, 0)
+    if before is None:
+        rows = draw_wall(rng) if crowd else _NO_ROWS
+        before = Draw(query.transfer.start, query.goals, rows)
     for _ in range(_MAX_FAMILIES if crowd else 1):
         family = draw_family(query, *counts, rng)
         drawn = _enclose(query, specification, family, rng, before)
@@ -125,12 +129,11 @@ def _enclose(
     specification: DifficultySpecification,
     family: Family,
     rng: np.random.Generator,
-    before: Draw | None,
+    before: Draw,
 ) -> Draw | None:
     """Draw a witness out of a family and obstacles around it; None if too much stays free."""
     transfer, clearance = query.transfer, specification.clearance
-    others = _NO_ROWS if before is None else before.rows
-    earlier = None if before is None else before.witness
+    others, earlier = before.rows, before.witness
     able = np.flatnonzero(family.able & ~family.near(others, clearance).any(axis=0))
     bodies = fixture_rows(query.goals)
 

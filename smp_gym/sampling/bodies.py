@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.scene import SHAPES
 
-__all__ = ["CEILING", "draw_bodies", "hanging", "standing", "vary_bodies"]
+__all__ = ["CEILING", "draw_bodies", "draw_wall", "hanging", "standing", "vary_bodies"]
 
 CEILING = 1.0
 """m, where what hangs begins: above all that the arm reaches in front of it."""
@@ -30,6 +30,13 @@ _BEAM_SECTION = (0.012, 0.03)
 _BEAM_LENGTH = (0.10, 0.28)
 _LAMP = (0.04, 0.07)
 """Half-extents and radii, m."""
+
+_WALL_BEHIND = (0.18, 0.22)
+_WALL_TURN = 0.2
+_WALL_HEIGHT = (0.75, 0.95)
+_WALL_WIDTH = (0.30, 0.45)
+"""Of the wall behind the arm: distance from the base's axis and height, m, its turn, rad, and its
+half width, m."""
 
 _PAST = (-0.01, 0.14)
 """m, how far posts and ducts reach past the point that they are drawn to cover."""
@@ -92,6 +99,19 @@ def draw_bodies(points: FloatArray, radius: FloatArray, rng: np.random.Generator
     _reach_up(rows, of("post", "standing panel"), points[:, 2] + past)
     _reach_down(rows, of("duct", "hanging panel"), points[:, 2] - past)
     return rows
+
+
+def draw_wall(rng: np.random.Generator) -> FloatArray:
+    """Return the (1, 9) row of a wall close behind the arm.
+
+    Without one the arm can fold up over its base, its elbow to the back, and pass every obstacle
+    before it by the same detour.
+    """
+    yaw = rng.uniform(-_WALL_TURN, _WALL_TURN)
+    behind, half = rng.uniform(*_WALL_BEHIND), rng.uniform(*_WALL_HEIGHT) / 2.0
+    thickness, width = rng.uniform(*_PANEL_THICKNESS), rng.uniform(*_WALL_WIDTH)
+    place = (-behind * np.cos(yaw), -behind * np.sin(yaw))
+    return np.array([[_BOX, *place, half, np.cos(yaw), np.sin(yaw), thickness, width, half]])
 
 
 def vary_bodies(rows: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:

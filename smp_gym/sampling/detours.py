@@ -8,8 +8,11 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray
 
-__all__ = ["detour_basis", "detours", "resample", "smoothstep"]
+__all__ = ["HARMONICS", "detour_basis", "detours", "resample", "smoothstep"]
 
+
+HARMONICS = 9
+"""Cosines, and as many sines, that a detour is made of."""
 
 _DETOUR_STD = 0.2
 _DETOUR_LENGTH = 0.2
@@ -32,7 +35,7 @@ def detour_basis(samples: int) -> FloatArray:
     does not depend on the number of threads of a linear algebra library.
     """
     phase = np.linspace(0.0, 1.0, samples)
-    harmonics = np.arange(0, 9)
+    harmonics = np.arange(HARMONICS)
     omega = np.pi * harmonics
     power = np.exp(-0.5 * (omega * _DETOUR_LENGTH) ** 2)
     power[1:] *= 2.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.conversion import to_solid_row
-from smp_gym.sampling.detours import detour_basis, detours
+from smp_gym.sampling.detours import HARMONICS, detour_basis, detours
 from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.transfer import Query, Transfer, carry
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
@@ -24,8 +24,12 @@ BLOCKING_DEPTH = 0.015
 The spheres stand out of the arm's shapes by about that much."""
 
 
-_WIDEST = 2.5
-"""Wide detours are up to so many times as wide as ordinary ones."""
+_WIDE = (1.0, 2.5)
+_SWEEPING = (2.0, 6.0)
+_SWEEPING_HARMONICS = 4
+"""How many times as wide as ordinary detours wide ones are. Every other one is sweeping: wider
+still, but of the lowest harmonics only, such as going high over everything or drawing the hand back
+to the base: what a policy could do that is blind to obstacles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +95,10 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
     base = rng.integers(demonstrations, size=proposals + wide)
     features = detour_basis(transfer.samples).shape[1]
     numbers = rng.standard_normal((len(base), features, 6))
-    numbers[proposals:] *= rng.uniform(1.0, _WIDEST, size=(wide, 1, 1))
+    numbers[proposals::2] *= rng.uniform(*_WIDE, size=(len(numbers[proposals::2]), 1, 1))
+    sweeping = numbers[proposals + 1 :: 2]
+    sweeping *= rng.uniform(*_SWEEPING, size=(len(sweeping), 1, 1))
+    sweeping *= (np.arange(features) % HARMONICS < _SWEEPING_HARMONICS)[:, None]
     carried = carry(transfer, configuration, transfer.samples)
     mean = carried.mean(axis=0, keepdims=True)
     trajectories = np.concatenate(

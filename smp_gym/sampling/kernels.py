@@ -7,6 +7,8 @@ position x, y, z, cosine and sine of its yaw, and its three half-extents. Paths 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,6 +59,19 @@ def point_distances(points: Array, obstacles: Array) -> Array:
 
 
 @kernel
+def _apart(dx: float, dy: float, dz: float, obstacle: Array, reach: float) -> bool:
+    """Return whether a point is surely farther than `reach` from an obstacle, by its upright hull.
+
+    Obstacles turn about the vertical only, so each lies within an upright cylinder. A glance at it
+    spares the distance to posts and beams, whose bounding balls are large.
+    """
+    if abs(dz) - obstacle[8] > reach:
+        return True
+    flat = math.sqrt(obstacle[6] * obstacle[6] + obstacle[7] * obstacle[7]) + reach
+    return flat < 0.0 or dx * dx + dy * dy > flat * flat
+
+
+@kernel
 def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: float) -> Array:
     """Return the least distance between spheres on a path and each obstacle.
 
@@ -72,14 +87,12 @@ def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: flo
     out = np.full(len(obstacles), enough)
     for m in range(len(obstacles)):
         obstacle = obstacles[m]
-        bound = registry.bound(int(obstacle[0]), obstacle[6:])
         for t in range(centers.shape[0]):
             for s in range(centers.shape[1]):
-                far = out[m] + radius[s] + bound
                 dx = centers[t, s, 0] - obstacle[1]
                 dy = centers[t, s, 1] - obstacle[2]
                 dz = centers[t, s, 2] - obstacle[3]
-                if far <= 0.0 or dx * dx + dy * dy + dz * dz > far * far:
+                if _apart(dx, dy, dz, obstacle, out[m] + radius[s]):
                     continue
                 distance = point_distance(
                     centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
@@ -91,14 +104,12 @@ def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: flo
 @kernel
 def _blocked(centers: Array, radius: Array, obstacle: Array, depth: float) -> bool:
     """Return whether an obstacle reaches `depth` deep into a path's spheres."""
-    bound = registry.bound(int(obstacle[0]), obstacle[6:]) - depth
     for t in range(centers.shape[0]):
         for s in range(centers.shape[1] - 1, -1, -1):
             dx = centers[t, s, 0] - obstacle[1]
             dy = centers[t, s, 1] - obstacle[2]
             dz = centers[t, s, 2] - obstacle[3]
-            far = radius[s] + bound
-            if far < 0.0 or dx * dx + dy * dy + dz * dz > far * far:
+            if _apart(dx, dy, dz, obstacle, radius[s] - depth):
                 continue
             distance = point_distance(
                 centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle

@@ -27,12 +27,12 @@ __all__ = [
 ]
 
 
-_HAND_LINK = 5
-BASE_DISTANCE = 0.35
+_HAND_LINK = 4
+BASE_DISTANCE = 0.25
 """Obstacles stand before the hand: near spheres from this link on, and so far (m) from the axis of
 the base. Nearer to it they would block more, but the shoulder, not the hand."""
 
-START_CLEARANCE = 0.05
+START_CLEARANCE = 0.02
 """Obstacles: distance (m) to the robot at the start."""
 
 HALF_EXTENTS = (0.03, 0.06)
@@ -56,7 +56,9 @@ def draw_candidates(
     if not len(pool):
         return np.empty((0, kernels.OBSTACLE_COLUMNS))
     member = pool[rng.integers(len(pool), size=count)]
-    sample = rng.integers(transfer.samples, size=count)
+    # More of them near the ends, where all trajectories meet (an arcsine distribution).
+    phase = np.sin(rng.uniform(0.0, np.pi / 2.0, size=count)) ** 2
+    sample = np.rint(phase * (transfer.samples - 1)).astype(np.int64)
     hand = np.flatnonzero(transfer.spheres.link[transfer.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     rows = draw_bodies(family.paths[member, sample, sphere], family.radius[sphere], rng)

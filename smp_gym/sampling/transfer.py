@@ -42,7 +42,7 @@ class Transfer(MovingBody):
     goal_clearance: float
     samples: int = 20
     proposals: int = 104
-    wide: int = 144
+    wide: int = 240
 
 
 def make_transfer(

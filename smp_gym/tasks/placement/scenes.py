@@ -23,7 +23,7 @@ from smp_gym.tasks.placement.rules import (
 
 __all__ = ["SAMPLER", "demonstrated_transfer"]
 
-_GOAL_CLEARANCE = 0.03
+_GOAL_CLEARANCE = 0.015
 """m, of obstacles from the bin, sideways."""
 
 
