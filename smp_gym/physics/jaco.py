@@ -44,6 +44,7 @@ _FINGER_FORCE = 1.2  # N m
 _FINGER_VELOCITY = 1.0  # rad/s, the vendor's limit
 _FINGER_GAIN = 0.3
 _GRIP_MARGIN = 0.01  # rad, above the wobble of fingers at rest
+_GRIP_FRICTION = 1.0
 
 
 def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:
@@ -51,7 +52,7 @@ def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:
     pybullet.changeDynamics(
         body,
         link,
-        lateralFriction=1.0,
+        lateralFriction=_GRIP_FRICTION,
         spinningFriction=0.005,
         frictionAnchor=1,
         physicsClientId=world.client,
@@ -100,6 +101,7 @@ class Jaco:
         self._set_dynamics()
         for joint, angle in zip(self._arm, configuration, strict=True):
             pybullet.resetJointState(self._body, joint, angle, physicsClientId=self._client)
+        self._grips = True
         self.set_reference(configuration, 0.0)
 
     def _exclude_contacts(self) -> None:
@@ -166,6 +168,20 @@ class Jaco:
         """Set what the motors track: (6,) rad, and 0 (open) to 1 (closed)."""
         self._reference = np.array(configuration, np.float64)
         self._gripper = float(gripper)
+        self._opening = False
+        self._set_grip(True)
+
+    def _set_grip(self, grips: bool) -> None:
+        if grips == self._grips:
+            return
+        self._grips = grips
+        for name in FINGER_LINKS:
+            pybullet.changeDynamics(
+                self._body,
+                self._links[name],
+                lateralFriction=_GRIP_FRICTION if grips else 0.0,
+                physicsClientId=self._client,
+            )
 
     def integrate(self, action: FloatArray) -> None:
         """Advance the reference by one environment step.
@@ -177,7 +193,10 @@ class Jaco:
         advanced = self._reference + action[:6] * self._velocity_limit * CONTROL_PERIOD
         self._reference = np.minimum(np.maximum(advanced, JOINT_LOWER), JOINT_UPPER)
         gripper = self._gripper + float(action[6]) * GRIPPER_RATE * CONTROL_PERIOD
-        self._gripper = min(max(gripper, 0.0), 1.0)
+        gripper = min(max(gripper, 0.0), 1.0)
+        if gripper != self._gripper:
+            self._opening = gripper < self._gripper
+        self._gripper = gripper
 
     def track(self) -> None:
         """Command the motors towards the reference for the coming environment step."""
@@ -287,6 +306,16 @@ class Jaco:
             end_effector_position=np.array(link[4]),
             end_effector_quaternion=np.array(link[5]),
         )
+
+    def release(self, state: RobotState) -> None:
+        """Take the friction from fingers that open, until they close again.
+
+        An object may otherwise stick to a finger that is withdrawn, and hang on it.
+
+        Args:
+            state: as measured after the last step.
+        """
+        self._set_grip(not self._opening or self.squeezes(state))
 
     def squeezes(self, state: RobotState) -> bool:
         """Return whether the fingers are commanded further than they have closed.
