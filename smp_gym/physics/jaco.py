@@ -175,7 +175,7 @@ class Jaco:
         if grips == self._grips:
             return
         self._grips = grips
-        for name in FINGER_LINKS:
+        for name in (LINKS[6], *FINGER_LINKS):
             pybullet.changeDynamics(
                 self._body,
                 self._links[name],
@@ -308,9 +308,9 @@ class Jaco:
         )
 
     def release(self, state: RobotState) -> None:
-        """Take the friction from fingers that open, until they close again.
+        """Take the friction from a hand that opens, until it closes again.
 
-        An object may otherwise stick to a finger that is withdrawn, and hang on it.
+        An object may otherwise stick to the palm or to a finger that is withdrawn.
 
         Args:
             state: as measured after the last step.
