@@ -38,6 +38,10 @@ _ARM_JOINTS = tuple(f"j2s6s200_joint_{i}" for i in range(1, 7))
 _FINGER_JOINTS = tuple(f"j2s6s200_joint_finger_{part}" for part in ("1", "2", "tip_1", "tip_2"))
 _END_EFFECTOR_JOINT = "j2s6s200_joint_end_effector"
 
+# rad, where the fingertips meet the pen, and where their motors stop: pressing on a rod of the same
+# hand would hold nothing, and nearly double the solver's work.
+_FINGER_CLOSED_ON_PEN = 1.1788
+
 _UPRIGHT = (0.0, np.pi, np.pi, 0.0, np.pi, 0.0)
 # Enough to carry the object at full speed, and gentle enough not to push the arm off its reference.
 _FINGER_FORCE = 1.2  # N m
@@ -53,7 +57,6 @@ def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:
         body,
         link,
         lateralFriction=_GRIP_FRICTION,
-        spinningFriction=0.005,
         frictionAnchor=1,
         physicsClientId=world.client,
     )
@@ -97,6 +100,7 @@ class Jaco:
             for link in range(-1, len(joints))
             if (name := world.part(self._body, link)) in (*LINKS, *FINGER_LINKS, PEN_LINK)
         }
+        self._closed = _FINGER_CLOSED_ON_PEN if PEN_LINK in self._links else FINGER_CLOSED
         self._exclude_contacts()
         self._set_dynamics()
         for joint, angle in zip(self._arm, configuration, strict=True):
@@ -113,7 +117,7 @@ class Jaco:
             fingers = {first, second} & {*FINGER_LINKS, PEN_LINK}
             a = LINKS[6] if first in HAND_LINKS else first
             b = LINKS[6] if second in HAND_LINKS else second
-            across = len(fingers) == 2 and first[-1] != second[-1]
+            across = len(fingers - {PEN_LINK}) == 2 and first[-1] != second[-1]
             if across or frozenset((LINKS.index(a), LINKS.index(b))) in apart:
                 continue
             self._set_contact(self._body, self._links[first], self._links[second], False)
@@ -219,7 +223,7 @@ class Jaco:
                 maxVelocity=cap,
                 physicsClientId=self._client,
             )
-        proximal = self._gripper * FINGER_CLOSED
+        proximal = min(self._gripper * FINGER_CLOSED, self._closed)
         for joint, target in zip(self._fingers, (proximal, proximal, 0.0, 0.0), strict=True):
             pybullet.setJointMotorControl2(
                 self._body,

@@ -240,3 +240,27 @@ def test_the_hand_has_friction_until_it_opens_and_when_it_closes_again(arm):
     close(-1.0)
     arm.set_reference(START_CONFIGURATION, 0.0)
     assert frictions() == {1.0}
+
+
+def test_fingers_close_as_far_as_the_pen():
+    env = ManipulationEnv("DrawS", "none")
+    env.reset(seed=0)
+    world = env._cell.world
+    body = world.body(ARM)
+    links = {
+        world.part(body, link): link
+        for link in range(pybullet.getNumJoints(body, physicsClientId=world.client))
+    }
+    for _ in range(10):
+        env.step(np.array([0.2, 0, 0, 0.5, 0, 0.5, 1.0], np.float32))
+    for number in (1, 2):
+        points = pybullet.getClosestPoints(
+            body,
+            body,
+            0.05,
+            links[f"j2s6s200_link_finger_tip_{number}"],
+            links["pen"],
+            physicsClientId=world.client,
+        )
+        assert abs(min(point[8] for point in points)) < 5e-4
+    env.close()
