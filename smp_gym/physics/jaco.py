@@ -38,12 +38,17 @@ _ARM_JOINTS = tuple(f"j2s6s200_joint_{i}" for i in range(1, 7))
 _FINGER_JOINTS = tuple(f"j2s6s200_joint_finger_{part}" for part in ("1", "2", "tip_1", "tip_2"))
 _END_EFFECTOR_JOINT = "j2s6s200_joint_end_effector"
 
+# rad, where the fingertips meet the pen, and where their motors stop: pressing on a rod of the same
+# hand would hold nothing, and nearly double the solver's work.
+_FINGER_CLOSED_ON_PEN = 1.1788
+
 _UPRIGHT = (0.0, np.pi, np.pi, 0.0, np.pi, 0.0)
 # Enough to carry the object at full speed, and gentle enough not to push the arm off its reference.
 _FINGER_FORCE = 1.2  # N m
 _FINGER_VELOCITY = 1.0  # rad/s, the vendor's limit
 _FINGER_GAIN = 0.3
 _GRIP_MARGIN = 0.01  # rad, above the wobble of fingers at rest
+_GRIP_FRICTION = 1.0
 
 
 def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:
@@ -51,8 +56,7 @@ def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:
     pybullet.changeDynamics(
         body,
         link,
-        lateralFriction=1.0,
-        spinningFriction=0.005,
+        lateralFriction=_GRIP_FRICTION,
         frictionAnchor=1,
         physicsClientId=world.client,
     )
@@ -96,10 +100,12 @@ class Jaco:
             for link in range(-1, len(joints))
             if (name := world.part(self._body, link)) in (*LINKS, *FINGER_LINKS, PEN_LINK)
         }
+        self._closed = _FINGER_CLOSED_ON_PEN if PEN_LINK in self._links else FINGER_CLOSED
         self._exclude_contacts()
         self._set_dynamics()
         for joint, angle in zip(self._arm, configuration, strict=True):
             pybullet.resetJointState(self._body, joint, angle, physicsClientId=self._client)
+        self._grips = True
         self.set_reference(configuration, 0.0)
 
     def _exclude_contacts(self) -> None:
@@ -111,7 +117,7 @@ class Jaco:
             fingers = {first, second} & {*FINGER_LINKS, PEN_LINK}
             a = LINKS[6] if first in HAND_LINKS else first
             b = LINKS[6] if second in HAND_LINKS else second
-            across = len(fingers) == 2 and first[-1] != second[-1]
+            across = len(fingers - {PEN_LINK}) == 2 and first[-1] != second[-1]
             if across or frozenset((LINKS.index(a), LINKS.index(b))) in apart:
                 continue
             self._set_contact(self._body, self._links[first], self._links[second], False)
@@ -166,6 +172,20 @@ class Jaco:
         """Set what the motors track: (6,) rad, and 0 (open) to 1 (closed)."""
         self._reference = np.array(configuration, np.float64)
         self._gripper = float(gripper)
+        self._opening = False
+        self._set_grip(True)
+
+    def _set_grip(self, grips: bool) -> None:
+        if grips == self._grips:
+            return
+        self._grips = grips
+        for name in (LINKS[6], *FINGER_LINKS):
+            pybullet.changeDynamics(
+                self._body,
+                self._links[name],
+                lateralFriction=_GRIP_FRICTION if grips else 0.0,
+                physicsClientId=self._client,
+            )
 
     def integrate(self, action: FloatArray) -> None:
         """Advance the reference by one environment step.
@@ -177,7 +197,10 @@ class Jaco:
         advanced = self._reference + action[:6] * self._velocity_limit * CONTROL_PERIOD
         self._reference = np.minimum(np.maximum(advanced, JOINT_LOWER), JOINT_UPPER)
         gripper = self._gripper + float(action[6]) * GRIPPER_RATE * CONTROL_PERIOD
-        self._gripper = min(max(gripper, 0.0), 1.0)
+        gripper = min(max(gripper, 0.0), 1.0)
+        if gripper != self._gripper:
+            self._opening = gripper < self._gripper
+        self._gripper = gripper
 
     def track(self) -> None:
         """Command the motors towards the reference for the coming environment step."""
@@ -200,7 +223,7 @@ class Jaco:
                 maxVelocity=cap,
                 physicsClientId=self._client,
             )
-        proximal = self._gripper * FINGER_CLOSED
+        proximal = min(self._gripper * FINGER_CLOSED, self._closed)
         for joint, target in zip(self._fingers, (proximal, proximal, 0.0, 0.0), strict=True):
             pybullet.setJointMotorControl2(
                 self._body,
@@ -287,6 +310,16 @@ class Jaco:
             end_effector_position=np.array(link[4]),
             end_effector_quaternion=np.array(link[5]),
         )
+
+    def release(self, state: RobotState) -> None:
+        """Take the friction from a hand that opens, until it closes again.
+
+        An object may otherwise stick to the palm or to a finger that is withdrawn.
+
+        Args:
+            state: as measured after the last step.
+        """
+        self._set_grip(not self._opening or self.squeezes(state))
 
     def squeezes(self, state: RobotState) -> bool:
         """Return whether the fingers are commanded further than they have closed.

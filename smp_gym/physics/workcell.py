@@ -183,6 +183,7 @@ class Workcell:
         self.arm.integrate(action)
         self.arm.track()
         self._squeezing = self.arm.squeezes(self.robot)
+        self.arm.release(self.robot)
         self._contacts = frozenset()
         for _ in range(SUBSTEPS):
             self.world.step()

@@ -1,13 +1,14 @@
 """The arm in the physics, checked against kinematics and against what was commanded."""
 
 import numpy as np
+import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
 from smp_gym import assets
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, GRIPPER_RATE
-from smp_gym.physics.jaco import FINGER_CLOSED, Jaco
+from smp_gym.physics.jaco import ARM, FINGER_CLOSED, HAND_LINKS, Jaco
 from smp_gym.physics.workcell import SUBSTEPS
 from smp_gym.physics.world import BulletWorld
 from smp_gym.robot import kinematics
@@ -171,3 +172,95 @@ def _object_in_hand(env):
     position, _ = env._cell.world.pose("object")
     hand = Rotation.from_quat(state.end_effector_quaternion)
     return hand.inv().apply(position - state.end_effector_position)
+
+
+# Without the rule at release, the object hangs on the hand here, which points up by 45 degrees.
+HANGING = (-0.3, -0.46, 0.97, -0.85, -0.95, -0.73)
+
+
+def test_opening_the_hand_never_keeps_hold_of_the_object():
+    env = ManipulationEnv("Placement", "none")
+    scene = sample_scene("Placement", "none", 0)
+    rng = np.random.default_rng(5)
+    # Upwards in the shoulder, away from the table.
+    drawn = rng.uniform(-1, 1, (24, 6)) * (1, 0, 1, 1, 1, 1) - (0, 0.25, 0, 0, 0, 0)
+    for number, velocity in enumerate([np.array(HANGING), *drawn]):
+        env.reset(options={"scene": scene})
+        for _ in range(19):
+            env.step(np.append(velocity, 0.0).astype(np.float32))
+        stop = number % 2 == 0
+        for _ in range(4 if stop else 0):
+            env.step(np.zeros(7, np.float32))
+        begun = _object_in_hand(env)
+        rate = rng.uniform(0.4, 1.0) if number else 0.8355463
+        for step in range(80):
+            moving = velocity * (not stop and step < 8)
+            env.step(np.append(moving, -rate).astype(np.float32))
+            if np.linalg.norm(_object_in_hand(env) - begun) > 0.04:
+                break
+        else:
+            pytest.fail(f"still in the hand after {velocity}, opened at {rate}")
+    env.close()
+
+
+def test_the_hand_has_friction_until_it_opens_and_when_it_closes_again(arm):
+    body = arm.world.body(ARM)
+    hand = [
+        link
+        for link in range(pybullet.getNumJoints(body, physicsClientId=arm.world.client))
+        if arm.world.part(body, link) in HAND_LINKS
+    ]
+
+    def frictions():
+        return {
+            pybullet.getDynamicsInfo(body, link, physicsClientId=arm.world.client)[1]
+            for link in hand
+        }
+
+    def close(rate):
+        for _ in range(5):
+            arm.integrate(np.array([0, 0, 0, 0, 0, 0, rate]))
+            arm.release(arm.state())
+            arm.track()
+            for _ in range(SUBSTEPS):
+                arm.world.step()
+
+    assert len(hand) == 5
+    assert frictions() == {1.0}
+    close(-1.0)  # It is open already.
+    assert frictions() == {1.0}
+    close(1.0)
+    assert frictions() == {1.0}
+    close(-1.0)
+    assert frictions() == {0.0}
+    close(0.0)
+    assert frictions() == {0.0}
+    close(1.0)
+    assert frictions() == {1.0}
+    close(-1.0)
+    arm.set_reference(START_CONFIGURATION, 0.0)
+    assert frictions() == {1.0}
+
+
+def test_fingers_close_as_far_as_the_pen():
+    env = ManipulationEnv("DrawS", "none")
+    env.reset(seed=0)
+    world = env._cell.world
+    body = world.body(ARM)
+    links = {
+        world.part(body, link): link
+        for link in range(pybullet.getNumJoints(body, physicsClientId=world.client))
+    }
+    for _ in range(10):
+        env.step(np.array([0.2, 0, 0, 0.5, 0, 0.5, 1.0], np.float32))
+    for number in (1, 2):
+        points = pybullet.getClosestPoints(
+            body,
+            body,
+            0.05,
+            links[f"j2s6s200_link_finger_tip_{number}"],
+            links["pen"],
+            physicsClientId=world.client,
+        )
+        assert abs(min(point[8] for point in points)) < 5e-4
+    env.close()
