@@ -36,6 +36,7 @@ from smp_gym.scene import (
     DIFFICULTIES,
     EVALUATION_SEEDS_START,
     FAMILIES,
+    Obstacle,
     Scene,
 )
 from smp_gym.sensing.depth_camera import DepthSensor
@@ -183,6 +184,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._actions: list[NDArray[np.float64]] = []
         self._failure = ""
         self._succeeded = self._over = False
+        self._looked_at: tuple[Obstacle, ...] | None = None
         self._next_frame = 0.0
 
     # Gymnasium's interface
@@ -370,8 +372,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._cell.load(scene)
         self._scene = scene
         self._encoder = Encoder(scene, self.control, self._limit)
-        self._perceive()
         self._actions = []
+        self._looked_at = None
+        self._perceive()
         self._failure = ""
         self._succeeded = self._over = False
         observation = self._observe()
@@ -382,6 +385,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         """Move for one step and judge what came of it."""
         self._cell.advance(action)
         self._actions.append(action)
+        self._perceive()
         observation = self._observe()
         self._achieved, desired = observation["achieved_goal"], observation["desired_goal"]
         collided = self._cell.collision is not None
@@ -410,8 +414,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         return sample_scene(self.task.name, self.difficulty, seed, self.family)
 
     def _perceive(self) -> None:
-        """Look at the obstacles as they stand now."""
-        self._encoder.show(self._sensor.perceive(self._cell.obstacles, self._cell.world))
+        """Look at the obstacles, if they have moved since the last look and the next is due."""
+        obstacles = self._cell.obstacles
+        due = len(self._actions) % self._sensor.period == 0
+        if due and obstacles is not self._looked_at:
+            self._encoder.show(self._sensor.perceive(obstacles, self._cell.world))
+            self._looked_at = obstacles
 
     def _observe(self) -> Observation:
         cell = self._cell

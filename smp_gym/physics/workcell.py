@@ -153,7 +153,7 @@ class Workcell:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The scene's obstacles as they stand now."""
+        """The scene's obstacles as they stand now; the same tuple for as long as they stand so."""
         return self._scene.obstacles
 
     @property

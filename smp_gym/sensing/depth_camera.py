@@ -107,8 +107,11 @@ def _pixels() -> tuple[FloatArray, FloatArray]:
 class DepthSensor:
     """Perceives points of the obstacles' surfaces; see the module.
 
-    Camera pose, noise and patches are those of the camera for the whole episode.
+    Camera pose, noise and patches are those of the camera for the whole episode. A look takes about
+    as long as four steps of the physics, hence the period; at rest, one look serves the episode.
     """
+
+    period = 4
 
     def __init__(self) -> None:
         self._camera = DepthCamera(np.array(CAMERA_POSITION), np.array(CAMERA_TARGET))

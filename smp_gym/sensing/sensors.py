@@ -51,7 +51,13 @@ class RayCaster(Protocol):
 
 
 class Sensor(Protocol):
-    """Protocol of sensors."""
+    """Protocol of sensors.
+
+    Attributes:
+        period: environment steps from one look at moving obstacles to the next.
+    """
+
+    period: int
 
     def begin(self, scene: Scene) -> None:
         """Draw the errors of an episode, a pure function of its scene.
@@ -87,6 +93,8 @@ def scene_generator(scene: Scene, stream: int) -> np.random.Generator:
 class ExactSensor:
     """Perceives obstacles as they are."""
 
+    period = 1
+
     def begin(self, scene: Scene) -> None:
         """Draw nothing; see `Sensor`."""
 
@@ -104,6 +112,8 @@ class NoisySensor:
     Args:
         noise: m, not negative.
     """
+
+    period = 1
 
     def __init__(self, noise: float) -> None:
         self._noise = noise
