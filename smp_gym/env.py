@@ -25,6 +25,7 @@ from smp_gym.observation import (
     Control,
     Encoder,
     Observation,
+    Sensing,
     observation_space,
 )
 from smp_gym.physics.jaco import ACTION_SIZE
@@ -35,8 +36,11 @@ from smp_gym.scene import (
     DIFFICULTIES,
     EVALUATION_SEEDS_START,
     FAMILIES,
+    Obstacle,
     Scene,
 )
+from smp_gym.sensing.depth_camera import DepthSensor
+from smp_gym.sensing.sensors import ExactSensor, NoisySensor, Sensor, check_sensing
 from smp_gym.tasks.registry import make_task, task_families
 
 __all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "SUCCESS_REWARD", "ManipulationEnv"]
@@ -105,6 +109,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             observation: planner policies act in joint velocities, and refuse the other mode.
         family: of the scenes, one of `smp_gym.tasks.registry.task_families`. Difficulty "none",
             without obstacles, there is in the first only.
+        sensing: what observations say of obstacles, one of `smp_gym.observation.SENSINGS`: "exact"
+            rows; rows with "noise" (`smp_gym.sensing.sensors.NoisySensor`); or a "depth" camera's
+            ``points`` in place of ``obstacles`` (`smp_gym.sensing.depth_camera`). The physics, and
+            so collisions and success, are not touched by it.
+        noise: standard deviation of perceived positions along each axis, m; with ``sensing``
+            "noise" only, and by default `smp_gym.sensing.sensors.DEFAULT_NOISE`.
 
     Raises:
         ValueError: an argument is not one of those allowed.
@@ -127,9 +137,22 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         camera: Mapping[str, Any] | None = None,
         control: Control = "joint_velocity",
         family: str = FAMILIES[0],
+        sensing: Sensing = "exact",
+        noise: float | None = None,
     ) -> None:
         EzPickle.__init__(
-            self, task, difficulty, reward, render_mode, width, height, camera, control, family
+            self,
+            task,
+            difficulty,
+            reward,
+            render_mode,
+            width,
+            height,
+            camera,
+            control,
+            family,
+            sensing,
+            noise,
         )
         self.task = make_task(task)
         _check_choice("difficulty", difficulty, DIFFICULTIES)
@@ -146,10 +169,13 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.family = family
         self.reward = reward
         self.control = control
+        self.sensing = sensing
+        self.noise = check_sensing(sensing, noise)
+        self._sensor = _make_sensor(sensing, self.noise)
         self.render_mode = render_mode
         self._width, self._height = width, height
         self._camera = _make_camera(camera)
-        self.observation_space = observation_space(self.task.name)  # type: ignore[assignment]
+        self.observation_space = observation_space(self.task.name, sensing)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
         seen = render_mode is not None
         self._limit = MAX_EPISODE_STEPS
@@ -158,6 +184,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._actions: list[NDArray[np.float64]] = []
         self._failure = ""
         self._succeeded = self._over = False
+        self._looked_at: tuple[Obstacle, ...] | None = None
         self._next_frame = 0.0
 
     # Gymnasium's interface
@@ -340,11 +367,14 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 
     def _begin(self, scene: Scene) -> Observation:
         """Stand at the start of a scene."""
+        self._sensor.begin(scene)
         self._scene = None
         self._cell.load(scene)
         self._scene = scene
         self._encoder = Encoder(scene, self.control, self._limit)
         self._actions = []
+        self._looked_at = None
+        self._perceive()
         self._failure = ""
         self._succeeded = self._over = False
         observation = self._observe()
@@ -355,6 +385,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         """Move for one step and judge what came of it."""
         self._cell.advance(action)
         self._actions.append(action)
+        self._perceive()
         observation = self._observe()
         self._achieved, desired = observation["achieved_goal"], observation["desired_goal"]
         collided = self._cell.collision is not None
@@ -382,6 +413,14 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             seed = int(self.np_random.integers(EVALUATION_SEEDS_START))
         return sample_scene(self.task.name, self.difficulty, seed, self.family)
 
+    def _perceive(self) -> None:
+        """Look at the obstacles, if they have moved since the last look and the next is due."""
+        obstacles = self._cell.obstacles
+        due = len(self._actions) % self._sensor.period == 0
+        if due and obstacles is not self._looked_at:
+            self._encoder.show(self._sensor.perceive(obstacles, self._cell.world))
+            self._looked_at = obstacles
+
     def _observe(self) -> Observation:
         cell = self._cell
         achieved = self.task.achieved_goal(cell.status)
@@ -404,6 +443,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 def _check_choice(name: str, value: Any, allowed: Sequence[Any]) -> None:
     if value not in allowed:
         raise ValueError(f"{name} must be one of {', '.join(map(str, allowed))}; got {value!r}")
+
+
+def _make_sensor(sensing: Sensing, noise: float) -> Sensor:
+    if sensing == "depth":
+        return DepthSensor()
+    return NoisySensor(noise) if sensing == "noise" else ExactSensor()
 
 
 def _make_camera(changes: Mapping[str, Any] | None) -> Camera:

@@ -3,8 +3,9 @@
 An observation is a `Dict` of four float32 vectors: ``observation`` (robot, object, time; see
 `STATE_LAYOUT`), ``achieved_goal`` and ``desired_goal`` (laid out as the task says, see
 `smp_gym.tasks.Task.goals`), and ``obstacles`` (`MAX_OBSTACLES` rows of `OBSTACLE_LAYOUT`,
-flattened). It is complete: `decode` gives back all that a planner needs, raw or flattened by
-`gymnasium.spaces.flatten`.
+flattened). With ``sensing`` "depth" there is ``points`` in place of ``obstacles``: `CLOUD_POINTS`
+points of their surfaces (x, y, z), m, flattened. It is complete: `decode` gives back all that a
+planner needs, raw or flattened by `gymnasium.spaces.flatten`, of either kind.
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ from smp_gym.tasks.goals import Field
 from smp_gym.tasks.registry import make_task
 
 __all__ = [
+    "CLOUD_POINTS",
     "CONTROLS",
     "CONTROL_PERIOD",
     "GRIPPER_RATE",
     "LONGEST_LIMIT",
     "MAX_EPISODE_STEPS",
     "OBSTACLE_LAYOUT",
+    "SENSINGS",
     "STATE_LAYOUT",
     "Control",
     "DecodedObservation",
@@ -37,9 +40,11 @@ __all__ = [
     "Field",
     "ObjectState",
     "RobotState",
+    "Sensing",
     "decode",
     "encode_desired_goal",
     "observation_space",
+    "space_of",
     "state_field",
 ]
 
@@ -57,6 +62,16 @@ Control = Literal["joint_velocity", "end_effector"]
 
 CONTROLS: tuple[Control, ...] = get_args(Control)
 """Control modes; an observation holds the index."""
+
+Sensing = Literal["exact", "noise", "depth"]
+"""What an observation says of obstacles: rows that are exact, rows with errors, or points."""
+
+SENSINGS: tuple[Sensing, ...] = get_args(Sensing)
+"""Kinds of sensing."""
+
+CLOUD_POINTS = 512
+"""Points in an observation of a depth camera; where fewer were seen, the last are zero. The origin
+lies in the arm's base, so that no point of an obstacle is taken for an absent one."""
 
 GRIPPER_RATE = 1.0
 """Change per second of the gripper reference (0 open, 1 closed) at gripper action 1."""
@@ -96,6 +111,14 @@ OBSTACLE_LAYOUT = (
     Field("velocity", 3, -5.0, 5.0),
 )
 """One row of ``obstacles``; absent rows are all zero."""
+
+POINT_LAYOUT = (Field("point", 3, -2.0, 2.0),)
+"""One point of ``points``, m; absent ones are all zero, and follow those that are present."""
+
+_LEAST_POINT_HEIGHT = -0.05
+_LEAST_POINT_DISTANCE = 0.02
+"""Metres: no point is below the table top by more than noise, or in the middle of the arm's base.
+A normalised cloud is."""
 
 _ROUNDING = 1e-3
 """By how much norms, step counts and goals may be off, having been float32."""
@@ -150,6 +173,8 @@ class DecodedObservation:
         limit: steps after which the episode is truncated.
         collided: whether a forbidden contact has happened.
         control: what actions mean in the environment that it is from.
+        points: (M, 3) m, what a depth camera sees of the obstacles, of which the scene then has
+            none; None where the observation has rows of obstacles.
     """
 
     scene: Scene
@@ -159,6 +184,7 @@ class DecodedObservation:
     limit: int
     collided: bool
     control: Control
+    points: FloatArray | None = None
 
 
 def _bounds(layout: tuple[Field, ...], repeat: int = 1) -> spaces.Box:
@@ -210,26 +236,49 @@ def state_field(observation: Mapping[str, Any], name: str) -> FloatArray:
     return np.asarray(observation["observation"][_places(STATE_LAYOUT)[name]], np.float64)
 
 
-def observation_space(task: str) -> spaces.Dict:
+def observation_space(task: str, sensing: Sensing = "exact") -> spaces.Dict:
     """Return the observation space of a task: four bounded float32 vectors.
 
+    Args:
+        task: one of `smp_gym.tasks.task_names`.
+        sensing: one of `SENSINGS`; "exact" and "noise" look alike.
+
     Raises:
-        ValueError: no such task.
+        ValueError: no such task or sensing.
     """
+    if sensing not in SENSINGS:
+        raise ValueError(f"sensing must be one of {', '.join(SENSINGS)}; got {sensing!r}")
     layout = make_task(task).goals.layout
+    seen = {"obstacles": _bounds(OBSTACLE_LAYOUT, MAX_OBSTACLES)}
+    if sensing == "depth":
+        seen = {"points": _bounds(POINT_LAYOUT, CLOUD_POINTS)}
     return spaces.Dict(
         {
             "observation": _bounds(STATE_LAYOUT),
             "achieved_goal": _bounds(layout),
             "desired_goal": _bounds(layout),
-            "obstacles": _bounds(OBSTACLE_LAYOUT, MAX_OBSTACLES),
+            **seen,
         }
     )
 
 
 @cache
-def _space(task: str) -> spaces.Dict:
-    return observation_space(task)
+def _space(task: str, sensing: Sensing) -> spaces.Dict:
+    return observation_space(task, sensing)
+
+
+def space_of(observation: Any, task: str) -> spaces.Dict:
+    """Return the space of one observation: that with points, where it has them, or that with rows.
+
+    Args:
+        observation: raw (dict), or flattened (vector) and recognised by its length.
+        task: the task it is from.
+    """
+    with_rows, with_points = _space(task, "exact"), _space(task, "depth")
+    if isinstance(observation, Mapping):
+        return with_points if "points" in observation else with_rows
+    flat = np.shape(observation) == (spaces.flatdim(with_points),)
+    return with_points if flat else with_rows
 
 
 def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
@@ -255,11 +304,18 @@ def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
     return rows.ravel()
 
 
+def _encode_points(points: FloatArray) -> NDArray[np.float32]:
+    rows = np.zeros((CLOUD_POINTS, 3), np.float32)
+    low, high = _limits(POINT_LAYOUT)
+    rows[: len(points)] = np.clip(points, low, high)
+    return rows.ravel()
+
+
 class Encoder:
     """Turns the states of one episode into observations.
 
     Args:
-        scene: the episode's scene.
+        scene: the episode's scene; until `show` is called, its obstacles are perceived exactly.
         control: what actions mean.
         limit: steps after which the episode is truncated.
     """
@@ -272,7 +328,19 @@ class Encoder:
         self._state = _Join(STATE_LAYOUT)
         self._goal = _Join(make_task(scene.task).goals.layout)
         self._desired_goal = encode_desired_goal(scene)
-        self._obstacles = _encode_obstacles(scene.obstacles)
+        self.show(scene.obstacles)
+
+    def show(self, perceived: tuple[Obstacle, ...] | FloatArray) -> None:
+        """Take what is perceived of the obstacles into the observations from now on.
+
+        Args:
+            perceived: obstacles, at most `MAX_OBSTACLES`, or points (M, 3) m, M at most
+                `CLOUD_POINTS`.
+        """
+        if isinstance(perceived, tuple):
+            self._seen = {"obstacles": _encode_obstacles(perceived)}
+        else:
+            self._seen = {"points": _encode_points(perceived)}
 
     def encode(
         self,
@@ -303,7 +371,7 @@ class Encoder:
             "observation": self._state(state),
             "achieved_goal": self._goal(achieved_goal),
             "desired_goal": self._desired_goal.copy(),
-            "obstacles": self._obstacles.copy(),
+            **{key: vector.copy() for key, vector in self._seen.items()},
         }
 
 
@@ -328,7 +396,7 @@ def _decode_obstacles(flat: FloatArray) -> tuple[Obstacle, ...]:
 
 def _as_dict(observation: Any, task: str) -> dict[str, FloatArray]:
     """Check one raw or flattened observation and return its four vectors as float64."""
-    space = _space(task)
+    space = space_of(observation, task)
     if isinstance(observation, Mapping):
         if set(observation) != set(space.spaces):
             raise ValueError(
@@ -340,7 +408,8 @@ def _as_dict(observation: Any, task: str) -> dict[str, FloatArray]:
         flat = np.asarray(observation)
         if flat.shape != (spaces.flatdim(space),):
             raise ValueError(
-                f"observation must be a dict or a flat vector of {spaces.flatdim(space)} entries, "
+                f"observation must be a dict or a flat vector of {spaces.flatdim(space)} entries "
+                f"(of {spaces.flatdim(_space(task, 'depth'))} with points), "
                 f"got {type(observation).__name__} of shape {flat.shape}"
             )
         vectors = dict(spaces.unflatten(space, flat))  # type: ignore[arg-type]
@@ -389,6 +458,9 @@ def _check_raw(vectors: Mapping[str, FloatArray], state: Mapping[str, FloatArray
         raise _abnormal("observation", f"have an index as control, not {control}")
     if not (state["object_size"] > 0.0).all():
         raise _abnormal("observation", f"have a positive object_size, not {state['object_size']}")
+    if "points" in vectors:
+        _check_points(vectors["points"].reshape(CLOUD_POINTS, 3))
+        return
     rows = vectors["obstacles"].reshape(MAX_OBSTACLES, -1)
     flags, rest = rows[:, : 1 + len(SHAPES)], rows[:, 1 + len(SHAPES) :]
     sound = ((flags == 0.0) | (flags == 1.0)).all()
@@ -396,6 +468,17 @@ def _check_raw(vectors: Mapping[str, FloatArray], state: Mapping[str, FloatArray
         raise _abnormal("obstacles", "have one shape in each row that is present, and none else")
     if rest[flags[:, 0] == 0.0].any():
         raise _abnormal("obstacles", "be zero in rows that are not present")
+
+
+def _check_points(rows: FloatArray) -> None:
+    present = np.abs(rows).max(axis=1) > 0.0
+    if (present[1:] & ~present[:-1]).any():
+        raise _abnormal("points", "have all points that are present before those that are not")
+    points = rows[present]
+    near = np.linalg.norm(points, axis=1) < _LEAST_POINT_DISTANCE
+    below = points[:, 2] < _LEAST_POINT_HEIGHT
+    if near.any() or below.any():
+        raise _abnormal("points", "have no points below the table or in the arm's base")
 
 
 def decode(observation: Any, task: str) -> DecodedObservation:
@@ -416,6 +499,10 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     _check_raw(vectors, state)
     limit = round(float(state["limit"][0]) * MAX_EPISODE_STEPS)
     size = state["object_size"]
+    cloud = None
+    if "points" in vectors:
+        cloud = vectors["points"].reshape(CLOUD_POINTS, 3)
+        cloud = cloud[cloud.any(axis=1)]
     try:
         goals = codec.decode(desired, size)
     except ValueError as error:
@@ -425,7 +512,7 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         start=tuple(state["configuration"].tolist()),
         manipulated=ManipulatedObject(size=tuple(size.tolist())) if codec.with_object else None,
         goals=goals,
-        obstacles=_decode_obstacles(vectors["obstacles"]),
+        obstacles=() if cloud is not None else _decode_obstacles(vectors["obstacles"]),
     )
     if np.abs(encode_desired_goal(scene) - vectors["desired_goal"]).max() > _ROUNDING:
         raise _abnormal("desired_goal", f"demand what {task} demands")
@@ -454,4 +541,5 @@ def decode(observation: Any, task: str) -> DecodedObservation:
         limit=limit,
         collided=bool(achieved["collided"][0] > 0.5),
         control=CONTROLS[round(float(state["control"][0]))],
+        points=cloud,
     )

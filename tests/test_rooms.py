@@ -20,6 +20,7 @@ ALLOWED_OF_GYM = {
     "robot",
     "geometry",
     "datasets",
+    "sensing",
     "assets",
 }
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))

@@ -152,6 +152,11 @@ class Workcell:
         self._measure()
 
     @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """The scene's obstacles as they stand now; the same tuple for as long as they stand so."""
+        return self._scene.obstacles
+
+    @property
     def lines(self) -> tuple[Line, ...]:
         """Lines that show what has no body: goals without one, and the pen's trace over them."""
         shown = _bodiless_goals(self._scene)

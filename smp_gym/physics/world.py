@@ -51,6 +51,9 @@ _IDENTITY = (0.0, 0.0, 0.0, 1.0)
 _WINDOW_LINE_WIDTH = 3.0
 """Pixels."""
 
+_RAYS_IN_A_BATCH = 8192
+"""Half of what the engine takes at once."""
+
 _PARKING_HEIGHT = -20.0
 _SPECK = Obstacle(shape="sphere", position=_ORIGIN, size=(0.01, 0.01, 0.01))
 _SKY_COLOR = (
@@ -322,6 +325,28 @@ class BulletWorld:
                 )
                 least = min((point[8] for point in points), default=least)
         return float(min(least, limit))
+
+    def cast_rays(
+        self, origin: Sequence[float], ends: FloatArray
+    ) -> tuple[tuple[str, ...], FloatArray]:
+        """Return what rays from one point meet first.
+
+        Args:
+            origin: (3,) m, where all rays begin, outside of all bodies.
+            ends: (N, 3) m.
+
+        Returns:
+            The names of the parts, "" where a ray meets none, and the shares (N,) of the rays up to
+            there, 1 where they meet none.
+        """
+        names: list[str] = []
+        shares: list[float] = []
+        for first in range(0, len(ends), _RAYS_IN_A_BATCH):
+            batch = ends[first : first + _RAYS_IN_A_BATCH].tolist()
+            hits = pybullet.rayTestBatch([origin] * len(batch), batch, physicsClientId=self.client)
+            names += [self._parts[hit[:2]] if hit[0] >= 0 else "" for hit in hits]
+            shares += [hit[2] for hit in hits]
+        return tuple(names), np.array(shares)
 
     # Snapshots
 

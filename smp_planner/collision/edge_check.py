@@ -18,14 +18,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smp_gym.arrays import FloatArray, IntArray
+from smp_gym.arrays import Float32Array, FloatArray, IntArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
 from smp_gym.robot.forward_kernels import chain, place, sine_cosine
 from smp_gym.robot.kinematics import concatenate
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
-from smp_planner.collision.verification import CLEARANCE_TOLERANCE, self_gap_of
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, grid_arrays, self_gap_of
+from smp_planner.occupancy.grid import DistanceGrid, lookup
 
 __all__ = ["EdgeChecker", "World", "edge_is_free", "new_scratch"]
 
@@ -46,6 +47,10 @@ class World(NamedTuple):
         size: (N,3) m.
         bound: (N,) m.
         margin: m, least distance to obstacles.
+        values: (X,Y,Z) m, distance on a grid to what else there is; of no length if there is none.
+        corner: (3,) m, position of its first node.
+        inv_spacing: 1/m.
+        steepness: bound on the change of all distances per metre.
     """
 
     robot: RobotArrays
@@ -56,6 +61,10 @@ class World(NamedTuple):
     size: FloatArray
     bound: FloatArray
     margin: float
+    values: Float32Array
+    corner: FloatArray
+    inv_spacing: float
+    steepness: float
 
 
 class Scratch(NamedTuple):
@@ -130,10 +139,12 @@ def _measure(world, scratch, row):
             gap = scratch.measured[s]
             if gap < least_allowed + scratch.travel[s]:
                 x, y, z = placed[s, 0, 0], placed[s, 1, 0], placed[s, 2, 0]
-                gap = (
-                    point_distance(x, y, z, shape, rotation, position, size, bound)
-                    - robot.radius[s]
-                )
+                gap = point_distance(x, y, z, shape, rotation, position, size, bound)
+                if world.values.shape[0] > 0:
+                    gap = min(
+                        gap, lookup(world.values, world.corner, world.inv_spacing, x, y, z)[0]
+                    )
+                gap -= robot.radius[s]
                 if gap < least_allowed:
                     return False
                 scratch.measured[s] = gap
@@ -158,6 +169,7 @@ def edge_is_free(world, scratch, start, end):
         travel[s] = 0.0
         for j in range(joints):
             travel[s] += abs(end[j] - start[j]) * world.robot.lever[s, j]
+        travel[s] *= world.steepness
         longest = max(longest, travel[s])
         scratch.measured[s] = -np.inf
     # Row 0 is the configuration up to which the edge is settled; above it those still ahead.
@@ -213,6 +225,8 @@ class EdgeChecker:
             free here is free for `smp_planner.collision.verification` too.
         parts: (K,4), which spheres must stay clear of which obstacles, as in `World`; by default
             all of all.
+        grid: distance to what else there is, of which nothing better is known; all spheres must
+            stay clear of that, too.
 
     Raises:
         ValueError: `margin` is less than `CLEARANCE_TOLERANCE` or not finite.
@@ -224,6 +238,7 @@ class EdgeChecker:
         obstacles: Sequence[Obstacle] | PackedObstacles,
         margin: float = CLEARANCE_TOLERANCE,
         parts: ArrayLike | None = None,
+        grid: DistanceGrid | None = None,
     ) -> None:
         if not (math.isfinite(margin) and margin >= CLEARANCE_TOLERANCE):
             raise ValueError(
@@ -232,15 +247,17 @@ class EdgeChecker:
         packed = (
             obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
         )
-        table = [(0, len(robot.link), 0, len(packed))] if parts is None else parts
+        table: ArrayLike = [(0, len(robot.link), 0, len(packed))] if parts is None else parts
         self.robot = robot
-        self.world = World(robot.arrays, np.array(table, np.int64), *packed.arrays, margin)
+        table = np.array(table, np.int64)
+        self.world = World(robot.arrays, table, *packed.arrays, margin, *grid_arrays(grid))
 
     @classmethod
     def of_all(
         cls,
         bodies: Sequence[tuple[RobotModel, Sequence[Obstacle]]],
         margin: float = CLEARANCE_TOLERANCE,
+        grid: DistanceGrid | None = None,
     ) -> EdgeChecker:
         """Return the space that is free for several sets of spheres of the JACO at once.
 
@@ -249,12 +266,13 @@ class EdgeChecker:
         Args:
             bodies: at least one robot model with its obstacles.
             margin: see the class.
+            grid: see the class.
 
         Raises:
             ValueError: `margin` is less than `CLEARANCE_TOLERANCE` or not finite.
         """
         if len(bodies) == 1:
-            return cls(*bodies[0], margin)
+            return cls(*bodies[0], margin, grid=grid)
         models, obstacles = zip(*bodies, strict=True)
         spheres = np.cumsum([0] + [len(model.link) for model in models])
         places = np.cumsum([0] + [len(of_one) for of_one in obstacles])
@@ -263,6 +281,7 @@ class EdgeChecker:
             [obstacle for of_one in obstacles for obstacle in of_one],
             margin,
             np.column_stack([spheres[:-1], spheres[1:], places[:-1], places[1:]]),
+            grid,
         )
 
     def configurations_free(self, configurations: ArrayLike) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import FAST, kernel
@@ -33,6 +33,7 @@ __all__ = [
     "CollisionCheck",
     "Verification",
     "check_collisions",
+    "grid_arrays",
     "minimum_duration",
     "verify",
     "within_joint_limits",
@@ -50,6 +51,15 @@ _SELF_HORIZON = 0.05
 _MOST_HALVINGS = 22
 # Arrays of `lookup`, and the steepness of the distance, where there is no grid.
 _NO_GRID = np.empty((0, 0, 0), np.float32), np.zeros(3), 1.0, 1.0
+
+
+def grid_arrays(
+    grid: DistanceGrid | None,
+) -> tuple[NDArray[np.float32], FloatArray, float, float]:
+    """Return the arrays of `lookup` and a bound on the distance's change per metre, for kernels."""
+    if grid is None:
+        return _NO_GRID
+    return grid.values, grid.origin, 1.0 / grid.spacing, max(grid.steepness, 1.0)
 
 
 @dataclass(frozen=True)
@@ -135,7 +145,7 @@ def _check(
     distance, by no more than the outer one moves: it is at least (a + b - h max_s w_s) / 2.
 
     `robot` is a `RobotArrays`, `obstacles` are the arrays of `PackedObstacles`, `grid` is as
-    `_NO_GRID`.
+    of `grid_arrays`.
     """
     values, corner, inv_spacing, steepness = grid
     has_grid = values.shape[0] > 0
@@ -304,15 +314,12 @@ def check_collisions(
     if not (math.isfinite(tolerance) and tolerance > 0.0):
         raise ValueError(f"tolerance must be positive, got {tolerance}")
     packed = obstacles if isinstance(obstacles, PackedObstacles) else PackedObstacles.of(obstacles)
-    known = _NO_GRID
-    if grid is not None:
-        known = grid.values, grid.origin, 1.0 / grid.spacing, max(grid.steepness, 1.0)
     clearance, self_free = np.empty(len(q)), np.empty(len(q), np.bool_)
     _check(
         np.ascontiguousarray(q.swapaxes(1, 2)),
         robot.arrays,
         packed.arrays,
-        known,
+        grid_arrays(grid),
         tolerance,
         clearance,
         self_free,

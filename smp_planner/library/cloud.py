@@ -18,7 +18,7 @@ from smp_gym.arrays import FloatArray
 from smp_planner.library.frame import Frame
 from smp_planner.occupancy.neural import INFLATION, PointNetworkMap, train_map
 from smp_planner.occupancy.occupancy_map import TRUNCATION
-from smp_planner.occupancy.point_cloud import LearnedCloud, label_point_cloud
+from smp_planner.occupancy.point_cloud import CloudMap, label_point_cloud
 from smp_planner.planning.maps import Workspace
 from smp_planner.planning.settings import PlanSettings
 
@@ -106,7 +106,7 @@ def learned_cloud(
     reachable: Workspace,
     radius: float,
     settings: PlanSettings,
-) -> LearnedCloud:
+) -> CloudMap:
     """Return the learned map of a cloud where the moving body can be.
 
     Args:
@@ -131,7 +131,7 @@ def learned_cloud(
     # What is seen outside may reach inside by as much.
     near = ((points >= lower - depth) & (points <= upper + depth)).all(axis=1)
     if not near.any():
-        return LearnedCloud(None, bounds)
+        return CloudMap(None, bounds)
     around = depth + radius + TRUNCATION
     workspace = (
         tuple(np.maximum(lower - depth, points[near].min(axis=0) - around).tolist()),
@@ -158,7 +158,7 @@ def learned_cloud(
             seed=_SEED,
         )
         cloud.maps[key] = PointNetworkMap.of(network, workspace, truncation=radius + TRUNCATION)
-    return LearnedCloud(cloud.maps[key], bounds)
+    return CloudMap(cloud.maps[key], bounds)
 
 
 def _fixed(name: str, value: ArrayLike) -> FloatArray:

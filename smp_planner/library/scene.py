@@ -14,7 +14,7 @@ from smp_planner.library.cloud import PointCloud, learned_cloud
 from smp_planner.library.frame import Frame
 from smp_planner.library.shapes import PathObstacle, bodies
 from smp_planner.library.urdf import Robot
-from smp_planner.occupancy.point_cloud import LearnedCloud
+from smp_planner.occupancy.point_cloud import CloudMap
 from smp_planner.planning.bodies import Ball, Body, RobotBody, in_space, reachable_box
 from smp_planner.planning.constraints import Constraint, Passing, Place
 from smp_planner.planning.problem import Problem, Stage
@@ -134,7 +134,7 @@ class Scene:
             ]
             if any(free):
                 continue
-            each: list[tuple[tuple[Obstacle, ...], LearnedCloud | None]]
+            each: list[tuple[tuple[Obstacle, ...], CloudMap | None]]
             each = [((body,), None) for body in self._bodies]
             each += [((), cloud)] if cloud is not None else []
             touched = [
@@ -147,7 +147,7 @@ class Scene:
             raise ValueError(f"{constraint.name} {middle} is inside or touches {names}")
 
     def _clearance(
-        self, obstacles: tuple[Obstacle, ...], cloud: LearnedCloud | None, points: FloatArray
+        self, obstacles: tuple[Obstacle, ...], cloud: CloudMap | None, points: FloatArray
     ) -> FloatArray:
         """Return the distance (N,) of the body to obstacles where it stands at points (N, D)."""
         body: Body = Ball(self._frame.dimension, self._radius)
@@ -177,7 +177,7 @@ class Scene:
         settings: PlanSettings,
         demonstrations: Sequence[FloatArray],
         constraints: Sequence[Constraint],
-    ) -> LearnedCloud | None:
+    ) -> CloudMap | None:
         """Return the learned map of the point cloud; None if there is none."""
         if self._cloud is None:
             return None

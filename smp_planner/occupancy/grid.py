@@ -20,7 +20,16 @@ from smp_gym.scene import Obstacle
 from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
 
-__all__ = ["SPACING", "WORKSPACE", "DistanceGrid", "bake", "bake_analytic", "grid_nodes", "lookup"]
+__all__ = [
+    "SPACING",
+    "WORKSPACE",
+    "DistanceGrid",
+    "GridMap",
+    "bake",
+    "bake_analytic",
+    "grid_nodes",
+    "lookup",
+]
 
 WORKSPACE = ((-0.6, -0.95, -0.1), (0.95, 0.95, 1.2))
 """Corners of the default grid, m: where the arm with an object in its hand can be."""
@@ -149,6 +158,31 @@ class DistanceGrid:
             self.values, self.origin, 1.0 / self.spacing, array.reshape(-1, 3)
         )
         return distance.reshape(array.shape[:-1]), gradient.reshape(array.shape)
+
+
+@dataclass(frozen=True)
+class GridMap:
+    """A distance that is known on a grid only, an `OccupancyMap`.
+
+    Attributes:
+        grid: signed distance.
+        truncation: m, largest absolute value of the distance.
+    """
+
+    grid: DistanceGrid
+    truncation: float
+
+    def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Return the interpolated signed distance; see `OccupancyMap.signed_distance`."""
+        return self.grid.query(points)
+
+    def fill(
+        self, values: NDArray[np.float32], origin: NDArray[np.float64], spacing: float
+    ) -> None:
+        """Lower the nodes of a grid to the interpolated distance; see `OccupancyMap.fill`."""
+        axes = [origin[i] + spacing * np.arange(values.shape[i]) for i in range(3)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        np.minimum(values, self.grid.query(points), out=values, casting="same_kind")
 
 
 def grid_nodes(

@@ -27,7 +27,7 @@ from smp_gym.arrays import Float32Array
 from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance
 from smp_gym.scene import Obstacle
 from smp_planner.occupancy.archive import read_archive, write_archive
-from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, grid_nodes
+from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, GridMap, grid_nodes
 from smp_planner.occupancy.occupancy_map import TRUNCATION
 from smp_planner.occupancy.redistancing import redistance
 
@@ -282,18 +282,16 @@ def train_map(
 
 
 @dataclass(frozen=True)
-class PointNetworkMap:
+class PointNetworkMap(GridMap):
     """The distance to the surface of a `PointNetwork`, an `OccupancyMap`.
 
     Attributes:
-        network: the classifier.
         grid: signed distance to the bodies: to its surface p = 1/2, plus its inflation.
         truncation: m, largest absolute value of the distance.
+        network: the classifier.
     """
 
     network: PointNetwork
-    grid: DistanceGrid
-    truncation: float
 
     @classmethod
     def of(
@@ -320,14 +318,4 @@ class PointNetworkMap:
         # The level set lies `inflation` outside the bodies.
         level = redistance(network.logit(points), spacing, truncation + network.inflation)
         values = np.clip(level + np.float32(network.inflation), -truncation, truncation)
-        return cls(network, DistanceGrid(origin, spacing, values), truncation)
-
-    def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the learned signed distance; see `OccupancyMap.signed_distance`."""
-        return self.grid.query(points)
-
-    def fill(self, values: Float32Array, origin: NDArray[np.float64], spacing: float) -> None:
-        """Lower the nodes of a grid to the learned distance; see `OccupancyMap.fill`."""
-        axes = [origin[i] + spacing * np.arange(values.shape[i]) for i in range(3)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        np.minimum(values, self.grid.query(points), out=values, casting="same_kind")
+        return cls(DistanceGrid(origin, spacing, values), truncation, network)

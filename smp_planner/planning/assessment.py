@@ -143,7 +143,9 @@ def free_waypoints(problem: Problem, trajectories: FloatArray) -> BoolArray:
     free = np.ones(trajectories.shape[:2], np.bool_)
     for stage in problem.stages:
         steps = stage.steps(count)
-        free[:, steps] &= stage.body.free_waypoints(trajectories[:, steps], stage.obstacles)
+        free[:, steps] &= stage.body.free_waypoints(
+            trajectories[:, steps], stage.obstacles, stage.cloud
+        )
     return free
 
 

@@ -35,7 +35,7 @@ from smp_planner.collision.verification import (
 )
 from smp_planner.occupancy.grid import DistanceGrid
 from smp_planner.occupancy.occupancy_map import TRUNCATION
-from smp_planner.occupancy.point_cloud import LearnedCloud
+from smp_planner.occupancy.point_cloud import CloudMap
 from smp_planner.planning.maps import SceneMaps, Workspace, around_both, lowered
 from smp_planner.planning.settings import PlanSettings
 
@@ -93,14 +93,14 @@ class Body(Protocol):
     def obstacle_cost(
         self,
         obstacles: tuple[Obstacle, ...],
-        cloud: LearnedCloud | None,
+        cloud: CloudMap | None,
         maps: SceneMaps,
     ) -> ObstacleCost | None:
         """Return the collision cost on a map; None if there is nothing to meet.
 
         Args:
             obstacles: bodies at rest.
-            cloud: what was learned of a point cloud, if there is one.
+            cloud: map of a point cloud, if there is one.
             maps: of the problem.
         """
         ...
@@ -113,13 +113,16 @@ class Body(Protocol):
         self,
         trajectories: FloatArray,
         obstacles: tuple[Obstacle, ...],
-        cloud: LearnedCloud | None = None,
+        cloud: CloudMap | None = None,
     ) -> Clearance:
         """Check whole trajectories (P, T, D), between their samples, too."""
         ...
 
     def free_waypoints(
-        self, trajectories: FloatArray, obstacles: tuple[Obstacle, ...]
+        self,
+        trajectories: FloatArray,
+        obstacles: tuple[Obstacle, ...],
+        cloud: CloudMap | None = None,
     ) -> BoolArray:
         """Return (P, T) whether the configurations of trajectories (P, T, D) touch nothing."""
         ...
@@ -173,7 +176,7 @@ class RobotBody:
     def obstacle_cost(
         self,
         obstacles: tuple[Obstacle, ...],
-        cloud: LearnedCloud | None,
+        cloud: CloudMap | None,
         maps: SceneMaps,
     ) -> ObstacleCost | None:
         """Return the squared occupancy of the spheres on the map; see `Body`."""
@@ -233,7 +236,7 @@ class RobotBody:
         self,
         trajectories: FloatArray,
         obstacles: tuple[Obstacle, ...],
-        cloud: LearnedCloud | None = None,
+        cloud: CloudMap | None = None,
     ) -> Clearance:
         """Check whole trajectories against obstacles and the robot itself; see `Body`."""
         grid = None if cloud is None else cloud.grid
@@ -241,10 +244,13 @@ class RobotBody:
         return Clearance(found.clearance, found.free)
 
     def free_waypoints(
-        self, trajectories: FloatArray, obstacles: tuple[Obstacle, ...]
+        self,
+        trajectories: FloatArray,
+        obstacles: tuple[Obstacle, ...],
+        cloud: CloudMap | None = None,
     ) -> BoolArray:
         """Return (P, T) whether configurations touch neither obstacles nor the robot itself."""
-        checker = EdgeChecker(self.model, obstacles)
+        checker = EdgeChecker(self.model, obstacles, grid=None if cloud is None else cloud.grid)
         found = checker.configurations_free(trajectories.reshape(-1, self.dimension))
         return found.reshape(trajectories.shape[:2])
 
@@ -295,7 +301,7 @@ class Ball:
     def obstacle_cost(
         self,
         obstacles: tuple[Obstacle, ...],
-        cloud: LearnedCloud | None,
+        cloud: CloudMap | None,
         maps: SceneMaps,
     ) -> ObstacleCost | None:
         """Return the squared occupancy of the ball on the map; see `Body`."""
@@ -332,7 +338,7 @@ class Ball:
         self,
         trajectories: FloatArray,
         obstacles: tuple[Obstacle, ...],
-        cloud: LearnedCloud | None = None,
+        cloud: CloudMap | None = None,
     ) -> Clearance:
         """Check whole paths (P, T, D); see `Body`."""
         clearance = np.full(len(trajectories), np.inf)
@@ -346,10 +352,15 @@ class Ball:
         return Clearance(clearance, free)
 
     def free_waypoints(
-        self, trajectories: FloatArray, obstacles: tuple[Obstacle, ...]
+        self,
+        trajectories: FloatArray,
+        obstacles: tuple[Obstacle, ...],
+        cloud: CloudMap | None = None,
     ) -> BoolArray:
         """Return (P, T) whether the ball touches nothing at the points of paths."""
         distance = signed_distance(in_space(trajectories), PackedObstacles.of(obstacles))
+        if cloud is not None and cloud.grid is not None:
+            distance = np.minimum(distance, cloud.grid.query(in_space(trajectories)))
         return distance - self.radius >= PATH_TOLERANCE
 
     def execution(self, trajectories: FloatArray, limit: float) -> tuple[BoolArray, FloatArray]:

@@ -13,7 +13,7 @@ from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel, jaco_model, jaco_of_spheres
-from smp_planner.occupancy.point_cloud import LearnedCloud
+from smp_planner.occupancy.point_cloud import CloudMap
 from smp_planner.planning.bodies import Body, RobotBody
 from smp_planner.planning.constraints import Constraint, Exactly, Poses, Reaching, ToolPath
 from smp_planner.planning.maps import WORKSPACE
@@ -35,7 +35,7 @@ class Stage:
         last: phase at which it ends.
         body: all that moves: the arm, and what moves with the hand.
         obstacles: all that it must not touch.
-        cloud: what was learned of a point cloud that it must not touch either.
+        cloud: map of a point cloud that it must not touch either.
 
     Raises:
         ValueError: the phases do not lie in [0, 1], or are not in order.
@@ -45,7 +45,7 @@ class Stage:
     last: float
     body: Body
     obstacles: tuple[Obstacle, ...]
-    cloud: LearnedCloud | None = None
+    cloud: CloudMap | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.first < self.last <= 1.0:
@@ -109,6 +109,11 @@ class Problem:
         return tuple(dict.fromkeys(obstacle for of_stage in last for obstacle in of_stage))
 
     @property
+    def cloud(self) -> CloudMap | None:
+        """Map of a point cloud; where there is one, it is the same in all stages."""
+        return self.stages[-1].cloud
+
+    @property
     def start(self) -> FloatArray:
         """(D,) where the trajectory begins for certain.
 
@@ -140,7 +145,11 @@ class Problem:
 
 
 def arm_stage(
-    first: float, last: float, spheres: SphereSet, obstacles: tuple[Obstacle, ...]
+    first: float,
+    last: float,
+    spheres: SphereSet,
+    obstacles: tuple[Obstacle, ...],
+    cloud: CloudMap | None = None,
 ) -> Stage:
     """Return a stage of the JACO.
 
@@ -149,8 +158,9 @@ def arm_stage(
         last: phase at which it ends.
         spheres: all that move: of the arm, and what moves with the hand.
         obstacles: all that these must not touch.
+        cloud: map of a point cloud that these must not touch either.
     """
-    return Stage(first, last, RobotBody(jaco_of_spheres(spheres), WORKSPACE), obstacles)
+    return Stage(first, last, RobotBody(jaco_of_spheres(spheres), WORKSPACE), obstacles, cloud)
 
 
 def arm_problem(
@@ -164,6 +174,7 @@ def arm_problem(
     via_poses: tuple[ViaPose, ...] = (),
     stages: tuple[Stage, ...] = (),
     movable: tuple[Obstacle, ...] = (),
+    cloud: CloudMap | None = None,
 ) -> Problem:
     """Return the problem of a JACO that moves from rest to rest.
 
@@ -178,6 +189,7 @@ def arm_problem(
         stages: where it changes on the trajectory what must stay clear of what; by default the arm
             with all that is attached must stay clear of all obstacles throughout.
         movable: see `Problem`.
+        cloud: map of a point cloud that must not be touched either; stages have their own.
 
     Raises:
         ValueError: `start` is not (6,) finite numbers, or there is no goal.
@@ -198,7 +210,7 @@ def arm_problem(
     return Problem(
         body,
         tuple(constraints),
-        stages or (Stage(0.0, 1.0, body, obstacles),),
+        stages or (Stage(0.0, 1.0, body, obstacles, cloud),),
         seed,
         movable,
     )

@@ -9,19 +9,33 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation
 from smp_gym.robot.kinematics import (
     PEN_TIP,
+    SphereSet,
     arm_spheres,
     box_spheres,
     concatenate,
     end_effector_pose,
     finger_spheres,
     pen_spheres,
+    sphere_centers,
 )
 from smp_gym.scene import BIN_HEIGHT, STROKE_POINTS, Goal, Obstacle, fixtures
+from smp_gym.sensing.depth_camera import CAMERA_POSITION
+from smp_planner.occupancy.point_cloud import CloudMap, closed_surface, layers_behind
 from smp_planner.planning.problem import Problem, arm_problem, arm_stage
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 from smp_planner.policy.grasping import Grasping, upright_pose
 
-__all__ = ["checkpoint_phases", "problem_from"]
+__all__ = ["SEEN_THICKNESS", "checkpoint_phases", "problem_from", "seen_map"]
+
+SEEN_THICKNESS = 0.08
+"""Depth of obstacles behind their seen surface that plans count on, m."""
+
+_INFLATION = 0.03
+"""Metres by which a cloud's points are grown, and the map shrunk again: gaps twice as wide are
+filled, and no link of the arm fits through them."""
+
+_ARM_MARGIN = 0.01
+"""Metres around the arm, where it is now, in which nothing is taken for an obstacle."""
 
 RELEASE_HEIGHT = (0.005, 0.035)
 """Least and greatest height of the object's lowest point above the rim when it is let go, m."""
@@ -60,6 +74,28 @@ def _release_region(goal: Goal, point: np.ndarray, reach_down: float) -> GoalReg
     return GoalRegion(point, np.array(lower), np.array(upper))
 
 
+def seen_map(decoded: DecodedObservation, attached: SphereSet) -> CloudMap | None:
+    """Return the map of what a depth camera sees; None where obstacles are observed as rows.
+
+    Behind a seen surface all is taken for occupied, within `SEEN_THICKNESS`, but for where the arm
+    is now.
+
+    Args:
+        decoded: what the observation says.
+        attached: spheres that move with the hand, as they are now.
+    """
+    if decoded.points is None:
+        return None
+    if not len(decoded.points):
+        return CloudMap(None)
+    solid = layers_behind(decoded.points, np.array(CAMERA_POSITION), SEEN_THICKNESS)
+    arm = concatenate(arm_spheres(), attached)
+    placed = sphere_centers(decoded.robot.configuration, arm)
+    apart = np.linalg.norm(solid[:, None] - placed, axis=-1) - arm.radius
+    solid = solid[(apart > _ARM_MARGIN).all(axis=1)]
+    return CloudMap(closed_surface(solid, _INFLATION) if len(solid) else None)
+
+
 def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping) -> Problem:
     """Return the problem of grasping an object and carrying it to a target.
 
@@ -84,6 +120,7 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
     obstacles = decoded.scene.obstacles
     solid = (*obstacles, *fixtures(decoded.scene))
     contact, grasp = float(grasping.phases[0]), grasping.phase
+    cloud = seen_map(decoded, finger_spheres(decoded.robot.finger_angles))
     target = np.array(decoded.scene.goals[0].position)
     return arm_problem(
         start=decoded.robot.reference,
@@ -96,10 +133,10 @@ def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping
             for phase, pose in zip(grasping.phases, grasping.poses, strict=True)
         ),
         stages=(
-            arm_stage(0.0, contact, opened, (*solid, block)),
-            arm_stage(contact, grasp, opened, solid),
-            arm_stage(grasp, 1.0, concatenate(arm, fingers), solid),
-            arm_stage(grasp, 1.0, box, obstacles),
+            arm_stage(0.0, contact, opened, (*solid, block), cloud),
+            arm_stage(contact, grasp, opened, solid, cloud),
+            arm_stage(grasp, 1.0, concatenate(arm, fingers), solid, cloud),
+            arm_stage(grasp, 1.0, box, obstacles, cloud),
         ),
         movable=obstacles,
     )
@@ -131,14 +168,16 @@ def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray 
         for k, place in enumerate(stroke.checkpoints[:-1])
         if k > 0 and stroke.demanded[k]
     )
+    attached = concatenate(finger_spheres(decoded.robot.finger_angles), pen_spheres())
     return arm_problem(
         start=decoded.robot.reference,
         obstacles=(*decoded.scene.obstacles, *fixtures(decoded.scene)),
-        attached=concatenate(finger_spheres(decoded.robot.finger_angles), pen_spheres()),
+        attached=attached,
         goals=(GoalRegion(PEN_TIP, end - END_HALF_WIDTH, end + END_HALF_WIDTH),),
         seed=seed,
         via_points=via_points,
         movable=decoded.scene.obstacles,
+        cloud=seen_map(decoded, attached),
     )
 
 
@@ -186,4 +225,5 @@ def problem_from(
         goals=goals,
         seed=seed,
         movable=decoded.scene.obstacles,
+        cloud=seen_map(decoded, attached),
     )

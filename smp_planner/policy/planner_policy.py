@@ -18,7 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.observation import DecodedObservation, decode, observation_space
+from smp_gym.observation import DecodedObservation, decode, observation_space, space_of
 from smp_planner.planners.registry import Method, resolve
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Planner, Problem
@@ -241,7 +241,7 @@ class PlannerPolicy:
 
     def _digest(self, row: Any) -> int:
         """Return a fingerprint of observation and seed, the same for raw and flattened."""
-        flat = spaces.flatten(self.observation_space, row) if isinstance(row, Mapping) else row
+        flat = spaces.flatten(space_of(row, self.task), row) if isinstance(row, Mapping) else row
         content = np.ascontiguousarray(flat, np.float32).tobytes()
         seed = self.seed.to_bytes(8, "little", signed=False)
         return int.from_bytes(hashlib.blake2b(content + seed, digest_size=8).digest(), "little")

@@ -176,8 +176,10 @@ class _Search:
         """
         stages = [s for s in self.problem.stages if s.first < last and s.last > first]
         bodies = [(s.body.model, s.obstacles) for s in stages if isinstance(s.body, RobotBody)]
+        cloud = self.problem.cloud
+        grid = None if cloud is None else cloud.grid
         for margin in (self.settings.margin, CLEARANCE_TOLERANCE):
-            checker = EdgeChecker.of_all(bodies, margin)
+            checker = EdgeChecker.of_all(bodies, margin, grid)
             if all(checker.configurations_free(layer).any() for layer in ends):
                 break
         return checker
@@ -272,7 +274,8 @@ class _Search:
         if there is None or lifted is None:
             return None
         goals = self.goals(lifted)
-        clear = EdgeChecker(self.robot, problem.obstacles)
+        grid = None if problem.cloud is None else problem.cloud.grid
+        clear = EdgeChecker(self.robot, problem.obstacles, grid=grid)
         carry = self.checker([chain[-1:], lifted[None], goals], last, 1.0)
         away = self.path(lifted, goals, clear, rng)
         if away is None:
