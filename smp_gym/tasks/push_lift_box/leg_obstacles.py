@@ -35,6 +35,9 @@ _CANDIDATES = 420
 _COMPARED = 220
 """Numbers of bodies drawn, and of the most blocking of them to choose from."""
 
+_TURN = 0.15
+"""rad, standard deviation of a body's turn from the sides of the table."""
+
 _HALVINGS = 6
 _LATTICE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 4)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
@@ -104,7 +107,8 @@ def _bodies(points: FloatArray, rng: np.random.Generator) -> GrowingBodies:
         SHAPES.index("box"),
     ).astype(np.float64)
     shape[block & (rng.uniform(size=count) < 0.3)] = SHAPES.index("sphere")
-    yaw = rng.uniform(-np.pi, np.pi, size=count)
+    # Like what people put up, they stand along the table's sides, about.
+    yaw = 0.5 * np.pi * rng.integers(4, size=count) + rng.normal(0.0, _TURN, count)
     least, most = np.empty((count, 9)), np.empty((count, 9))
     for rows in (least, most):
         rows[:, 0], rows[:, 4], rows[:, 5] = shape, np.cos(yaw), np.sin(yaw)
