@@ -41,9 +41,9 @@ from smp_gym.tasks.push_lift_box.legs import (
     make_family,
 )
 
-__all__ = ["SAMPLER"]
+__all__ = ["CROWDS", "SAMPLER"]
 
-_CROWDS = {"easy": (0.040, 6, 0.02), "medium": (0.020, 8, 0.01), "hard": (0.010, 11, 0.001)}
+CROWDS = {"easy": (0.040, 6, 0.02), "medium": (0.020, 8, 0.01), "hard": (0.010, 11, 0.001)}
 """By difficulty: clearance of the reference (m), number of obstacles, and share of the trajectories
 that may stay free of them."""
 
@@ -378,7 +378,7 @@ def _draw_scene(difficulty: str, rng: np.random.Generator, *, witnessed: bool) -
     if not crowd:
         none = np.empty((0, kernels.OBSTACLE_COLUMNS))
         return Draw(start, (goal,), none, witness, box)
-    clearance, count, free_share = _CROWDS[difficulty]
+    clearance, count, free_share = CROWDS[difficulty]
     keeps = episode.keeps(legs if witnessed else None, clearance)
     trials = episode.trials(rng)
     for _ in range(_CANDIDATE_SETS):
