@@ -1,176 +1,200 @@
-"""Obstacles on two legs: candidates near the proposals, and the choice of those that block most.
+"""Obstacles on two legs: bodies grown towards a reference, and the choice of those that block most.
 
 A trajectory is free where both its legs are, so the share of free ones is the product of the shares
-of free legs, and that is what is made small. A witness is needed on each leg.
+of free legs, and that is what is made small. The reference trajectory is drawn first, and every
+body is as large as the clearance that it keeps from it allows: the opening is where the reference
+is, high, low, left or right, and no one detour passes through those of many scenes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smp_gym.arrays import BoolArray, FloatArray
-from smp_gym.compiling import kernel
-from smp_gym.sampling.bitsets import ones, packed
-from smp_gym.sampling.choice import REPEATED, apart
-from smp_gym.sampling.obstacles import BASE_DISTANCE, draw_rows
-from smp_gym.sampling.specification import DifficultySpecification
+from smp_gym.arrays import BoolArray, FloatArray, IntArray
+from smp_gym.sampling import kernels
+from smp_gym.sampling.choice import REPEATED
+from smp_gym.sampling.obstacles import BASE_DISTANCE
+from smp_gym.scene import SHAPES
 from smp_gym.tasks.push_lift_box.legs import LegFamily
 
-__all__ = ["SPARE", "LegCandidates", "choose_on_legs", "compare_on_legs", "draw_on_legs"]
-Words = NDArray[np.uint64]
+__all__ = ["GrowingBodies", "choose_on_legs", "draw_on_legs", "grown"]
 
-_HAND_LINK = 5
-_CANDIDATES = 500
-_COMPARED = 240
-_PAIRED = 100
-SPARE = 5
-"""Numbers: of candidates drawn, of the most blocking that are compared, of those compared in pairs;
-and of members that have to be clear of all chosen: the grid is coarse, not all of them will be."""
+CEILING = 1.0
+"""Height, m, from which hanging bodies hang."""
 
+KINDS = ("post", "hanging", "beam", "panel", "block")
+SHARES = (0.25, 0.3, 0.2, 0.1, 0.15)
+"""Kinds of bodies and their shares: standing on the table; hanging from `CEILING`; lying across at
+some height; thin walls that stand on the table; solids in mid air."""
 
-def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> FloatArray:
-    """Return rows of obstacles near the hand's paths on both legs, over the table."""
-    points, reach = [], []
-    for family in families:
-        count = _CANDIDATES // 2
-        spheres = np.flatnonzero(family.leg.spheres.link[family.leg.outline] >= _HAND_LINK)
-        member = rng.integers(family.proposals, size=count)
-        sample = rng.integers(family.paths.shape[1], size=count)
-        sphere = spheres[rng.integers(len(spheres), size=count)]
-        points.append(family.paths[member, sample, sphere])
-        reach.append(family.leg.spheres.radius[family.leg.outline[sphere]])
-    rows = draw_rows(np.concatenate(points), np.concatenate(reach), 1.0, rng)
-    fits = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
-    return rows[fits & (rows[:, 3] >= rows[:, 8])]
+_HAND_LINK = 4
+_CANDIDATES = 420
+_COMPARED = 220
+"""Numbers of bodies drawn, and of the most blocking of them to choose from."""
 
+_TURN = 0.15
+"""rad, standard deviation of a body's turn from the sides of the table."""
 
-@kernel
-def _common(a: Words, b: Words) -> np.int64:
-    """Return the number of bits that are set in both."""
-    count = np.int64(0)
-    for w in range(len(a)):
-        count += ones(a[w] & b[w])
-    return count
-
-
-@kernel
-def _best_pair(
-    blocks: tuple[Words, Words],
-    counts: tuple[int, int],
-    clears: tuple[Words, Words],
-    allowed: BoolArray,
-    repeated: float,
-    spare: int,
-) -> tuple[int, int]:
-    """Return the two candidates that block most and clear `spare` on both legs, or (-1, -1)."""
-    first, second, best = -1, -1, np.inf
-    one = np.uint64(1)
-    for i in range(len(allowed)):
-        for j in range(i):
-            if not allowed[i, j]:
-                continue
-            if not ((blocks[0][i, 0] | blocks[0][j, 0] | blocks[1][i, 0] | blocks[1][j, 0]) & one):
-                continue
-            left = 1.0
-            for leg in range(2):
-                either, both = np.int64(0), np.int64(0)
-                for w in range(blocks[leg].shape[1]):
-                    either += ones(blocks[leg][i, w] | blocks[leg][j, w])
-                    both += ones(blocks[leg][i, w] & blocks[leg][j, w])
-                left *= counts[leg] - (1.0 - repeated) * (either + repeated * both)
-            if left >= best:
-                continue
-            if (
-                _common(clears[0][i], clears[0][j]) >= spare
-                and _common(clears[1][i], clears[1][j]) >= spare
-            ):
-                first, second, best = i, j, left
-    return first, second
+_HALVINGS = 6
+_LATTICE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 4)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
-class LegCandidates:
-    """Candidates, the most blocking first, that leave a member clear on both legs.
+class GrowingBodies:
+    """Bodies of which each has a least and a greatest size.
 
     Attributes:
-        rows: (C, 9).
-        blocks: (C, P) for each leg, which proposals that the table leaves free each blocks.
-        clears: (C, N) for each leg, from which able members each keeps its clearance.
-        free: how many proposals the table leaves free, on each leg.
+        least: (C, 9) rows, see `smp_gym.sampling.kernels`.
+        most: (C, 9) rows of the same shapes and turns.
     """
 
-    rows: FloatArray
-    blocks: tuple[BoolArray, BoolArray]
-    clears: tuple[BoolArray, BoolArray]
-    free: tuple[int, int]
+    least: FloatArray
+    most: FloatArray
+
+    def at(self, share: FloatArray) -> FloatArray:
+        """Return the rows (C, 9) between least and greatest, by shares (C,) from 0 to 1."""
+        rows: FloatArray = self.least + share[:, None] * (self.most - self.least)
+        return rows
 
 
-def compare_on_legs(
-    rows: FloatArray, families: tuple[LegFamily, LegFamily], clearance: float
-) -> LegCandidates:
-    """Return the most blocking candidates of (C, 9), compared on two legs."""
-    blocks = [family.blocks(rows) for family in families]
-    clears = [family.clears(rows, clearance) for family in families]
-    free = [int(family.free.sum()) for family in families]
-    left = np.prod([n - b.sum(axis=1) for n, b in zip(free, blocks, strict=True)], axis=0)
-    enough = [clear.sum(axis=1) >= SPARE for clear in clears]
-    usable = np.flatnonzero(enough[0] & enough[1])
-    order = usable[np.argsort(left[usable], kind="stable")][:_COMPARED]
-    return LegCandidates(
-        rows=rows[order],
-        blocks=(blocks[0][order], blocks[1][order]),
-        clears=(clears[0][order], clears[1][order]),
-        free=(free[0], free[1]),
-    )
+def grown(bodies: GrowingBodies, keeps: Callable[[FloatArray], BoolArray]) -> FloatArray:
+    """Return the rows of bodies, each as large as may be; those that are too large at least, not.
+
+    Args:
+        bodies: to grow.
+        keeps: whether rows (C, 9) keep all distances that they must keep.
+    """
+    fits = keeps(bodies.least)
+    bodies = GrowingBodies(bodies.least[fits], bodies.most[fits])
+    low, step = np.zeros(len(bodies.least)), 0.5
+    whole = keeps(bodies.most)
+    low[whole] = 1.0
+    open_ = np.flatnonzero(~whole)
+    for _ in range(_HALVINGS):
+        tried = low[open_] + step
+        rows = bodies.least[open_] + tried[:, None] * (bodies.most[open_] - bodies.least[open_])
+        low[open_] = np.where(keeps(rows), tried, low[open_])
+        step *= 0.5
+    return bodies.at(low)
+
+
+def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> GrowingBodies:
+    """Return bodies near the paths of hand and forearm on both legs, over the table."""
+    points = []
+    for family in families:
+        count = _CANDIDATES // 2
+        spheres = np.flatnonzero(family.leg.spheres.link[family.leg.outline] >= _HAND_LINK)
+        member = rng.integers(len(family.paths), size=count)
+        sample = rng.integers(family.paths.shape[1], size=count)
+        sphere = spheres[rng.integers(len(spheres), size=count)]
+        points.append(family.paths[member, sample, sphere])
+    bodies = _bodies(np.concatenate(points) + rng.normal(0.0, 0.05, (2 * count, 3)), rng)
+    far = np.hypot(bodies.least[:, 1], bodies.least[:, 2]) >= BASE_DISTANCE
+    return GrowingBodies(bodies.least[far], bodies.most[far])
+
+
+def _bodies(points: FloatArray, rng: np.random.Generator) -> GrowingBodies:
+    """Return bodies of all kinds at points (C, 3)."""
+    count = len(points)
+    kind = rng.choice(len(KINDS), size=count, p=SHARES)
+    post, hanging, beam, panel, block = (kind == index for index in range(len(KINDS)))
+    shape = np.where(
+        (post | hanging | block) & (rng.uniform(size=count) < 0.4),
+        SHAPES.index("cylinder"),
+        SHAPES.index("box"),
+    ).astype(np.float64)
+    shape[block & (rng.uniform(size=count) < 0.3)] = SHAPES.index("sphere")
+    # Like what people put up, they stand along the table's sides, about.
+    yaw = 0.5 * np.pi * rng.integers(4, size=count) + rng.normal(0.0, _TURN, count)
+    least, most = np.empty((count, 9)), np.empty((count, 9))
+    for rows in (least, most):
+        rows[:, 0], rows[:, 4], rows[:, 5] = shape, np.cos(yaw), np.sin(yaw)
+        rows[:, 1:4] = points
+    girth = rng.uniform(0.02, 0.06, (count, 2))
+    least[:, 6:8], most[:, 6:8] = girth, girth
+    # Posts grow upwards, what hangs grows down.
+    least[:, 8], most[:, 8] = 0.02, rng.uniform(0.15, 0.4, count)
+    drop = rng.uniform(0.25, 0.45, count)
+    most[hanging, 8] = drop[hanging]
+    least[hanging, 8] = 0.1
+    for rows in (least, most):
+        rows[post, 3] = rows[post, 8]
+        rows[hanging, 3] = CEILING - rows[hanging, 8]
+    # Beams and panels grow in length.
+    thickness = rng.uniform(0.015, 0.03, count)
+    length = rng.uniform(0.12, 0.35, count)
+    for rows, half in ((least, np.full(count, 0.03)), (most, length)):
+        rows[beam | panel, 6] = half[beam | panel]
+        rows[beam | panel, 7] = thickness[beam | panel]
+        rows[beam, 8] = thickness[beam]
+        height = np.maximum(points[:, 2], 0.08) / 2
+        rows[panel, 8] = height[panel]
+        rows[panel, 3] = height[panel]
+        rows[beam, 3] = np.maximum(points[beam, 2], thickness[beam])
+    size = rng.uniform(0.04, 0.09, (count, 3))
+    least[block, 6:] = 0.02
+    most[block, 6:] = size[block]
+    for rows in (least, most):
+        round_ = shape != SHAPES.index("box")
+        rows[round_, 7] = rows[round_, 6]
+        ball = shape == SHAPES.index("sphere")
+        rows[ball, 8] = rows[ball, 6]
+        rows[block, 3] = np.maximum(points[block, 2], most[block, 8])
+    return GrowingBodies(least, most)
+
+
+def _lattices(rows: FloatArray) -> FloatArray:
+    """Return (C, L, 3) m, points of a lattice in each body."""
+    points = _LATTICE * rows[:, None, 6:]
+    c, s = rows[:, 4, None], rows[:, 5, None]
+    x, y = points[..., 0].copy(), points[..., 1].copy()
+    points[..., 0], points[..., 1] = c * x - s * y, s * x + c * y
+    return np.ascontiguousarray(points + rows[:, None, 1:4])
+
+
+def _disjoint(rows: FloatArray, lattices: FloatArray, one: int) -> BoolArray:
+    """Return a mask (C,) of the bodies that do not run through one of them."""
+    own = kernels.point_distances(lattices[one], rows).min(axis=1) > 0.0
+    theirs = kernels.point_distances(lattices.reshape(-1, 3), rows[one : one + 1])[0]
+    return np.asarray(own & (theirs.reshape(len(rows), -1).min(axis=1) > 0.0))
 
 
 def choose_on_legs(
-    candidates: LegCandidates,
-    able: tuple[BoolArray, BoolArray],
-    specification: DifficultySpecification,
-) -> list[int] | None:
-    """Choose obstacles that leave few trajectories free, but some clear on each leg.
+    rows: FloatArray, families: tuple[LegFamily, LegFamily], count: int
+) -> IntArray | None:
+    """Choose bodies, each of which adds most to what is blocked.
 
-    The first two are the best of all pairs of the most blocking candidates; each further one adds
-    most. A proposal that is blocked already still counts a little, so that its neighbours, which
-    were not drawn, are blocked too.
+    A trajectory that is blocked already still counts a little, so that its neighbours, which were
+    not drawn, are blocked too.
 
     Args:
-        candidates: to choose from.
-        able: (N,) for each leg, which members may serve as witness.
-        specification: how many to choose, and how many of them on the table.
+        rows: (C, 9) candidates.
+        families: of approaches and lifts, whose members are to be blocked.
+        count: how many bodies to choose.
 
     Returns:
-        Indices of the chosen; None if too few would be left clear.
+        Indices of the chosen; None if there are too few that do not run through each other.
     """
-    rows, blocks = candidates.rows, candidates.blocks
-    clears = [clear & may for clear, may in zip(candidates.clears, able, strict=True)]
-    standing = rows[:, 3] == rows[:, 8]
-    first, second = _best_pair(
-        (packed(blocks[0][:_PAIRED]), packed(blocks[1][:_PAIRED])),
-        candidates.free,
-        (packed(clears[0][:_PAIRED]), packed(clears[1][:_PAIRED])),
-        apart(rows[:_PAIRED], rows[:_PAIRED]),
-        REPEATED,
-        SPARE,
-    )
-    if first < 0:
-        return None
-    chosen = [first, second]
-    while len(chosen) < specification.obstacles:
-        left = np.ones(len(rows))
-        allowed = apart(rows, rows[chosen]).all(axis=1)
-        if len(chosen) >= specification.obstacles - specification.on_table:
-            allowed &= standing
-        for block, clear in zip(blocks, clears, strict=True):
-            # Proposals that the table does not leave free are blocked by none, and count for all.
-            weight = REPEATED ** block[chosen].sum(axis=0)
-            left *= weight.sum() - (1.0 - REPEATED) * (block * weight).sum(axis=1)
-            allowed &= (clear & clear[chosen].all(axis=0)).sum(axis=1) >= SPARE
+    blocks = [family.blocks(rows) for family in families]
+    left = np.prod([b.shape[1] - b.sum(axis=1) for b in blocks], axis=0)
+    order = np.argsort(left, kind="stable")[:_COMPARED]
+    rows, blocks = rows[order], [block[order] for block in blocks]
+    allowed, lattices = np.ones(len(rows), np.bool_), _lattices(rows)
+    weights = [np.ones(block.shape[1]) for block in blocks]
+    chosen: list[int] = []
+    while len(chosen) < count:
         if not allowed.any():
             return None
-        chosen.append(int(np.argmin(np.where(allowed, left, np.inf))))
-    return chosen
+        left = np.ones(len(rows))
+        for block, weight in zip(blocks, weights, strict=True):
+            left *= weight.sum() - (1.0 - REPEATED) * (block * weight).sum(axis=1)
+        best = int(np.argmin(np.where(allowed, left, np.inf)))
+        chosen.append(best)
+        allowed &= _disjoint(rows, lattices, best)
+        allowed[best] = False
+        for block, weight in zip(blocks, weights, strict=True):
+            weight[block[best]] *= REPEATED
+    return np.asarray(order[chosen])

@@ -10,7 +10,8 @@ nobody looks for one.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +26,11 @@ from smp_gym.sampling.detours import smoothstep
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.obstacles import START_CLEARANCE
-from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
+from smp_gym.sampling.specification import SPECIFICATIONS
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import TABLE, Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks.push_lift_box import rules as push_lift_box
-from smp_gym.tasks.push_lift_box.leg_obstacles import (
-    choose_on_legs,
-    compare_on_legs,
-    draw_on_legs,
-)
+from smp_gym.tasks.push_lift_box.leg_obstacles import choose_on_legs, draw_on_legs, grown
 from smp_gym.tasks.push_lift_box.legs import (
     Leg,
     LegFamily,
@@ -44,10 +41,11 @@ from smp_gym.tasks.push_lift_box.legs import (
     make_family,
 )
 
-__all__ = ["SAMPLER"]
+__all__ = ["CROWDS", "SAMPLER"]
 
-_FREE_SHARES = {"none": 1.0, "easy": 0.15, "medium": 0.04, "hard": 0.005}
-"""Share of the trajectories that may stay free of obstacles, by difficulty."""
+CROWDS = {"easy": (0.040, 6, 0.02), "medium": (0.020, 8, 0.01), "hard": (0.010, 11, 0.001)}
+"""By difficulty: clearance of the reference (m), number of obstacles, and share of the trajectories
+that may stay free of them."""
 
 _PROPOSALS = 48
 _TRIALS = 48
@@ -63,9 +61,9 @@ _WIDE_SHIFT = 0.15
 """rad, standard deviations of the detours at the middle of a leg, and of the posture at the target
 about the demonstrated one: what a primitive leaves open, and what a witness may use."""
 
-_CANDIDATE_SETS = 3
-_MAX_CHOICES = 4
-"""Numbers of sets of candidates tried with a pair of families, and of choices tried with a set."""
+_CANDIDATE_SETS = 2
+_REFERENCES = 6
+"""Numbers of sets of candidates tried with a reference, and of members tried as one."""
 
 _PUSH_KNOTS = 5
 """Configurations along a push for which inverse kinematics is solved; between them it is
@@ -82,13 +80,15 @@ _BOX_CLEARANCE = 0.03
 _TARGET_CLEARANCE = 0.03
 """m, of obstacles from the box while it is pushed, and from the box held at the target."""
 
-_PUSH_SLACK = 0.005
-"""m, added to the clearance from the push, for what lies between its samples."""
-
-_ANYTHING = -1.0
-"""m, a clearance that every obstacle has from every trajectory."""
+_SLACK = 0.003
+_REFERENCE_STRIDE = 3
+"""m, added to the clearance from the reference for what lies between the samples by which bodies
+grow, and how many samples these are apart."""
 
 _TABLE_ROWS = np.array([to_row(TABLE)])
+
+
+Keeps = Callable[[FloatArray], BoolArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,25 +233,18 @@ class _Episode:
         movement = _movement()
         approach, lift = self.members(proposals, wide, rng)
         return (
-            make_family(movement.approach, approach, proposals),
-            make_family(movement.lift, lift, proposals),
+            make_family(movement.approach, approach, proposals + wide),
+            make_family(movement.lift, lift, proposals + wide),
         )
 
-    def candidates(
-        self,
-        families: tuple[LegFamily, LegFamily],
-        clearance: float | None,
-        rng: np.random.Generator,
-    ) -> FloatArray:
-        """Return rows of obstacles on the legs, but not at start, push and target.
+    def keeps(self, legs: list[FloatArray] | None, clearance: float) -> Keeps:
+        """Return the test of obstacles' rows (C, 9) for all distances that they must keep.
 
         Args:
-            families: of approaches and lifts.
-            clearance: m, of the witness; None if there is none to be.
-            rng: source of all randomness.
+            legs: (T, 6) rad, approach and lift of the reference; None if there is none.
+            clearance: m, from it.
         """
         movement = _movement()
-        rows = draw_on_legs(families, rng)
         place = np.array(self.box.position)
         ahead = np.array([np.cos(self.box.yaw), np.sin(self.box.yaw), 0.0])
         shift = np.linspace(0.0, push_lift_box.PUSH_LENGTH, 3)[:, None] * ahead
@@ -261,15 +254,27 @@ class _Episode:
         start = movement.approach.paths(self.start[None])
         spheres = movement.push.spheres.radius
         shared = [(boxes, radius, _BOX_CLEARANCE), (start, spheres, START_CLEARANCE)]
-        if clearance is None:
-            mean = families[1].members.ends[:1]
-            end = (movement.lift.paths(mean), movement.lift.spheres.radius, START_CLEARANCE)
-            shared += [(pushing, spheres, START_CLEARANCE), end]
+        if legs is None:
+            shown = movement.lift.demonstrations[:, -1].mean(axis=0)
+            end = reach_points(np.asarray(self.goal.position), movement.held, shown[None])
+            shared.append((pushing, spheres, START_CLEARANCE))
+            if not np.isnan(end).any():
+                raised = movement.lift.paths(end)
+                shared.append((raised, movement.lift.spheres.radius, START_CLEARANCE))
         else:
-            shared.append((pushing, spheres, clearance + _PUSH_SLACK))
-        for path, of, enough in shared:
-            rows = rows[kernels.path_clearances(path, of, rows, enough) >= enough]
-        return rows
+            enough = clearance + _SLACK
+            shared.append((pushing, spheres, enough))
+            for leg, trajectory in zip((movement.approach, movement.lift), legs, strict=True):
+                path = leg.paths(trajectory[::_REFERENCE_STRIDE], leg.swept)
+                shared.append((path, leg.spheres.radius[leg.swept], enough))
+
+        def test(rows: FloatArray) -> BoolArray:
+            kept = np.ones(len(rows), np.bool_)
+            for path, of, enough in shared:
+                kept[kept] = kernels.path_clearances(path, of, rows[kept], enough) >= enough
+            return kept
+
+        return test
 
     def trials(self, rng: np.random.Generator) -> list[FloatArray]:
         """Return paths of fresh proposals on both legs, their means first."""
@@ -278,33 +283,43 @@ class _Episode:
         legs = (movement.approach, movement.lift)
         return [free_paths(leg, of_leg) for leg, of_leg in zip(legs, members, strict=True)]
 
-    def witness(
-        self,
-        families: tuple[LegFamily, LegFamily],
-        alive: list[BoolArray],
-        rows: FloatArray,
-        clearance: float,
-    ) -> FloatArray | None:
-        """Return a trajectory (W, 6) rad that keeps its clearance, checked densely."""
+    def reference(
+        self, families: tuple[LegFamily, LegFamily], rng: np.random.Generator
+    ) -> list[FloatArray] | None:
+        """Return approach and lift (T, 6) rad of a random feasible reference, checked densely."""
         movement = _movement()
         box = np.array([to_row(_standing(self.box))])
+        none = np.empty((0, kernels.OBSTACLE_COLUMNS))
         if not is_witness(
-            movement.push, self.push, _TABLE_ROWS, rows, clearance, movement.approach.steps
+            movement.push, self.push, _TABLE_ROWS, none, 0.0, movement.approach.steps
         ):
             return None
         parts = []
-        for family, may, bodies in zip(
-            families, alive, (np.concatenate([_TABLE_ROWS, box]), _TABLE_ROWS), strict=True
+        for family, bodies in zip(
+            families, (np.concatenate([_TABLE_ROWS, box]), _TABLE_ROWS), strict=True
         ):
             leg = family.leg
-            for index in np.flatnonzero(may):
+            for index in rng.permutation(np.flatnonzero(family.able))[:_REFERENCES]:
                 trajectory = leg.trajectories(family.members[index : index + 1])[0]
-                if is_witness(leg, trajectory, bodies, rows, clearance, leg.steps):
+                if is_witness(leg, trajectory, bodies, none, 0.0, leg.steps):
                     parts.append(trajectory)
                     break
             else:
                 return None
-        return np.concatenate([parts[0], self.push[1:], parts[1][1:]])
+        return parts
+
+    def is_clear(self, legs: list[FloatArray], rows: FloatArray, clearance: float) -> bool:
+        """Return whether obstacles (M, 9) leave a reference its clearance, checked densely."""
+        movement = _movement()
+        parts = zip(
+            (movement.approach, movement.push, movement.lift),
+            (legs[0], self.push, legs[1]),
+            strict=True,
+        )
+        return all(
+            bool((part.clearances(path, rows, clearance) >= clearance).all())
+            for part, path in parts
+        )
 
 
 def _standing(box: ManipulatedObject) -> Obstacle:
@@ -350,60 +365,33 @@ def _draw_scene(difficulty: str, rng: np.random.Generator, *, witnessed: bool) -
     box, goal = _draw_box(rng), _draw_target(rng)
     spread = np.asarray(push_lift_box.START_SPREAD)
     start = np.asarray(push_lift_box.START_CONFIGURATION) + rng.uniform(-spread, spread)
-    specification = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
+    specification = SPECIFICATIONS[difficulty]
     episode = _Episode(start, box, _push(_movement(), box), goal)
     crowd = specification.obstacles > 0
     families = episode.families(*((_PROPOSALS, _WIDE_MEMBERS) if crowd else (_ALONE, 0)), rng)
     if not (families[0].free[0] and families[1].free[0]):
         return None
-    none = np.empty((0, kernels.OBSTACLE_COLUMNS))
-    if not specification.obstacles:
-        witness = episode.witness(families, [family.able for family in families], none, 0.0)
-        return None if witness is None else Draw(start, (goal,), none, witness, box)
+    legs = episode.reference(families, rng)
+    if legs is None:
+        return None
+    witness = np.concatenate([legs[0], episode.push[1:], legs[1][1:]]) if witnessed else None
+    if not crowd:
+        none = np.empty((0, kernels.OBSTACLE_COLUMNS))
+        return Draw(start, (goal,), none, witness, box)
+    clearance, count, free_share = CROWDS[difficulty]
+    keeps = episode.keeps(legs if witnessed else None, clearance)
     trials = episode.trials(rng)
     for _ in range(_CANDIDATE_SETS):
-        drawn = _block(episode, families, trials, specification, rng, witnessed=witnessed)
-        if drawn is not None:
-            return drawn
-    return None
-
-
-def _block(
-    episode: _Episode,
-    families: tuple[LegFamily, LegFamily],
-    trials: list[FloatArray],
-    specification: DifficultySpecification,
-    rng: np.random.Generator,
-    *,
-    witnessed: bool,
-) -> Draw | None:
-    """Draw obstacles and find a witness; None if too many trajectories are free or none."""
-    movement = _movement()
-    clearance = specification.clearance if witnessed else None
-    rows = episode.candidates(families, clearance, rng)
-    able = (families[0].able.copy(), families[1].able.copy())
-    candidates = compare_on_legs(rows, families, _ANYTHING if clearance is None else clearance)
-    for _ in range(_MAX_CHOICES):
-        choice = choose_on_legs(candidates, able, specification)
+        rows = grown(draw_on_legs(families, rng), keeps)
+        choice = choose_on_legs(rows, families, count)
         if choice is None:
-            return None
-        chosen = candidates.rows[choice]
-        approach = left_free(movement.approach, trials[0], chosen)
-        lift = left_free(movement.lift, trials[1], chosen)
-        mean_free = approach[0] and lift[0]
-        if mean_free or approach.mean() * lift.mean() > specification.free_share:
-            return None
-        if clearance is None:
-            return Draw(episode.start, (episode.goal,), chosen, None, episode.box)
-        alive = [
-            may & clear[choice].all(axis=0)
-            for may, clear in zip(able, candidates.clears, strict=True)
-        ]
-        witness = episode.witness(families, alive, chosen, clearance)
-        if witness is not None:
-            return Draw(episode.start, (episode.goal,), chosen, witness, episode.box)
-        for may, tried in zip(able, alive, strict=True):
-            may &= ~tried
+            continue
+        chosen = rows[choice]
+        left = [left_free(f.leg, t, chosen) for f, t in zip(families, trials, strict=True)]
+        if (left[0][0] and left[1][0]) or left[0].mean() * left[1].mean() > free_share:
+            continue
+        if not witnessed or episode.is_clear(legs, chosen, clearance):
+            return Draw(start, (goal,), chosen, witness, box)
     return None
 
 

@@ -1,19 +1,16 @@
 """The legs of PushLiftBox's ways, and the choice of obstacles on two of them."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.inverse_kernels import reach_points, reach_pose
-from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_with_witness
-from smp_gym.sampling.choice import REPEATED, apart
-from smp_gym.sampling.specification import DifficultySpecification
-from smp_gym.tasks.push_lift_box.leg_obstacles import SPARE, LegCandidates, choose_on_legs
+from smp_gym.sampling import place_without_witness, sample_with_witness
+from smp_gym.tasks.push_lift_box.leg_obstacles import GrowingBodies, grown
 from smp_gym.tasks.push_lift_box.legs import Leg, Members
 from smp_gym.tasks.push_lift_box.rules import START_CONFIGURATION, push_poses
+from smp_gym.tasks.push_lift_box.scenes import CROWDS
 
 BLOCKED = ("easy", "medium", "hard")
 NEAR = np.array(START_CONFIGURATION)
@@ -108,42 +105,18 @@ def test_members_keep_ends_and_end_velocities_whatever_the_detour(leg, shown):
 # --- The choice ------------------------------------------------------------------------------
 
 
-def soft_share(blocks, free, chosen):
-    """Return the weighted number of free ways: the product of those of the legs."""
-    share = 1.0
-    for block, count in zip(blocks, free, strict=True):
-        times = block[list(chosen)].sum(axis=0)
-        share *= (REPEATED ** times.astype(float)).sum() - (block.shape[1] - count)
-    return share
-
-
-def test_two_obstacles_are_the_best_of_all_pairs():
-    rng = np.random.default_rng(3)
-    specification = DifficultySpecification(obstacles=2, on_table=0, clearance=0.03, free_share=1.0)
-    found_any = 0
-    for _ in range(20):
-        rows = np.zeros((30, 9))
-        rows[:, 1:4] = rng.uniform([0.3, -0.3, 0.1], [0.7, 0.3, 0.5], (30, 3))
-        rows[:, 4], rows[:, 6:] = 1.0, 0.05
-        blocks = tuple(rng.random((30, 40)) < 0.2 for _ in range(2))
-        clears = tuple(rng.random((30, 70)) < 0.25 for _ in range(2))
-        candidates = LegCandidates(rows, blocks, clears, (40, 40))
-        chosen = choose_on_legs(candidates, (np.ones(70, bool),) * 2, specification)
-        beside = apart(rows, rows)
-        worth = {
-            pair: soft_share(blocks, (40, 40), pair)
-            for pair in itertools.combinations(range(30), 2)
-            if beside[pair]
-            and any((block[pair[0]] | block[pair[1]])[0] for block in blocks)
-            and all((clear[pair[0]] & clear[pair[1]]).sum() >= SPARE for clear in clears)
-        }
-        if not worth:
-            assert chosen is None
-            continue
-        found_any += 1
-        assert soft_share(blocks, (40, 40), chosen) == pytest.approx(min(worth.values()))
-        assert tuple(sorted(chosen)) in worth
-    assert found_any > 10
+def test_bodies_grow_until_they_touch_what_they_keep_from():
+    """Against the closed form: a box that grows along x towards a wall at x = 0.7."""
+    least, most = np.zeros((3, 9)), np.zeros((3, 9))
+    for rows, half in ((least, 0.02), (most, 0.4)):
+        rows[:, 1:4] = (0.5, 0.0, 0.1)
+        rows[:, 4], rows[:, 6:] = 1.0, (half, 0.02, 0.02)
+    most[1, 6] = 0.1
+    least[2, 1] = most[2, 1] = 0.69
+    rows = grown(GrowingBodies(least, most), lambda rows: rows[:, 1] + rows[:, 6] <= 0.7)
+    assert len(rows) == 2, "what is too large from the first is left out"
+    assert 0.2 - 0.38 / 64 <= rows[0, 6] <= 0.2
+    assert rows[1, 6] == pytest.approx(0.1)
 
 
 # --- Scenes ----------------------------------------------------------------------------------
@@ -225,7 +198,7 @@ def test_the_witness_keeps_its_clearance_and_the_mean_way_is_blocked(difficulty,
         box = scene.manipulated
         ends = push_poses(np.array(box.position), box.yaw, np.array([0.0, 1.0]))
         np.testing.assert_allclose(pose[[begin, end]], ends, atol=1e-6)
-        enough = SPECIFICATIONS[difficulty].clearance
+        enough = CROWDS[difficulty][0]
         assert clearance(witness, scene.obstacles, spheres, end) >= enough - 1e-9
         assert (np.abs(np.diff(witness, axis=0)) * 199 / kinematics.JOINT_VELOCITY).max() <= 14.0
 
@@ -245,7 +218,7 @@ def test_without_a_witness_the_mean_way_is_blocked_and_what_all_share_is_free(
     mean = shown.mean(axis=0)
     for seed in range(6):
         scene = place_without_witness("PushLiftBox", difficulty, seed)
-        assert len(scene.obstacles) == SPECIFICATIONS[difficulty].obstacles
+        assert len(scene.obstacles) == CROWDS[difficulty][1]
         box = scene.manipulated
         poses = push_poses(np.array(box.position), box.yaw, np.array([0.0, 1.0]))
         turn = np.zeros(6)

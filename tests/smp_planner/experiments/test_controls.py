@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smp_gym.robot.kinematics import end_effector_pose
-from smp_gym.sampling import sample_of_family
+from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.collision.verification import check_collisions
@@ -40,7 +40,7 @@ QUICK = SearchSettings(generations=6, restarts=1, population=24, scenes=6, scree
 
 def _scenes(task: str, difficulty: str, count: int, first: int = 300):
     seeds = range(first, first + count)
-    return [sample_of_family(task, "obstacles", difficulty, seed) for seed in seeds]
+    return [sample_scene(task, difficulty, seed) for seed in seeds]
 
 
 @pytest.fixture(scope="module")
