@@ -26,7 +26,7 @@ from smp_gym.scene import MAX_OBSTACLES, Obstacle
 
 __all__ = ["PHYSICS_PERIOD", "BulletWorld", "Camera", "Contact"]
 
-PHYSICS_PERIOD = 1.0 / 160.0
+PHYSICS_PERIOD = 1.0 / 120.0
 """Seconds per physics step."""
 
 GRAVITY = 9.81

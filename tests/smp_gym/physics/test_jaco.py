@@ -163,7 +163,7 @@ def test_friction_holds_the_object_at_nine_tenths_of_the_velocity_limit():
             velocity = direction if step < 20 else np.zeros(6)
             info = env.step(np.append(velocity, 0.0).astype(np.float32))[4]
             assert not info["collided"], info["collision"]
-        assert np.linalg.norm(_object_in_hand(env) - before) < 1e-3
+        assert np.linalg.norm(_object_in_hand(env) - before) < 1.5e-3
     env.close()
 
 
