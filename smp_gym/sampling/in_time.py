@@ -137,7 +137,5 @@ def clears_in_time(
     out = np.zeros((len(rows), len(paths)), np.bool_)
     for c in range(len(rows)):
         for n in range(len(paths)):
-            out[c, n] = _clears(
-                paths[n], radius, ticks[n], offset, rows[c], tracks[c], clearance
-            )
+            out[c, n] = _clears(paths[n], radius, ticks[n], offset, rows[c], tracks[c], clearance)
     return out
