@@ -23,6 +23,7 @@ from smp_gym.sampling import kernels
 from smp_gym.sampling.bodies import draw_bodies, hanging, standing
 from smp_gym.sampling.choice import widths
 from smp_gym.sampling.conversion import fixture_rows, to_solid_row
+from smp_gym.sampling.detours import resample
 from smp_gym.sampling.draws import Draw
 from smp_gym.sampling.family import BLOCKING_DEPTH, draw_family, member
 from smp_gym.sampling.in_time import (
@@ -39,7 +40,16 @@ from smp_gym.sampling.transfer import Query
 from smp_gym.sampling.witness import is_witness, within_limits
 from smp_gym.scene import Goal, Motion, goal_boxes
 
-__all__ = ["SPEEDS", "Movement", "among_moving", "cross", "transfer_movement"]
+__all__ = [
+    "SPEEDS",
+    "Movement",
+    "among_moving",
+    "cross",
+    "stay_apart",
+    "stays_off",
+    "transfer_movement",
+    "witness_in_time",
+]
 
 SPEEDS = {"easy": 0.05, "medium": 0.10, "hard": 0.20}
 """m/s of moving obstacles, by difficulty."""
@@ -181,15 +191,17 @@ def _draw_knots(
     return np.round(knots, 4), interval
 
 
-def _moves_freely(
-    movement: Movement, rows: FloatArray, tracks: FloatArray, speed: float
-) -> BoolArray:
-    """Return a mask (C,) of bodies that keep speed and stay off base, table, goals and start."""
+def _even(tracks: FloatArray, speed: float) -> BoolArray:
+    """Return a mask (C,) of tracks (C, K, 3) m on which the speed (m/s) is kept."""
     rates = np.sqrt((np.diff(tracks, axis=1) ** 2).sum(axis=2)) / CONTROL_PERIOD
-    kept: BoolArray = (np.abs(rates / speed - 1.0) < _SPEED_TOLERANCE).all(axis=1)
+    return np.asarray((np.abs(rates / speed - 1.0) < _SPEED_TOLERANCE).all(axis=1))
+
+
+def stays_off(movement: Movement, rows: FloatArray, tracks: FloatArray) -> BoolArray:
+    """Return a mask (C,) of bodies that stay off base, table, goals and the resting arm."""
     width = widths(rows)
     half = rows[:, 8, None]
-    kept &= (np.hypot(tracks[..., 0], tracks[..., 1]) >= BASE_DISTANCE).all(axis=1)
+    kept: BoolArray = (np.hypot(tracks[..., 0], tracks[..., 1]) >= BASE_DISTANCE).all(axis=1)
     low, high = tracks[..., 2] - half, tracks[..., 2] + half
     stands, hangs = standing(rows), hanging(rows)
     kept &= stands | (low >= _TABLE_CLEARANCE).all(axis=1)
@@ -218,7 +230,7 @@ def _moves_freely(
     return kept
 
 
-def _apart(rows: FloatArray, tracks: FloatArray, a: int, b: int) -> bool:
+def stay_apart(rows: FloatArray, tracks: FloatArray, a: int, b: int) -> bool:
     """Return whether two bodies never come near each other."""
     distance = np.hypot(*(tracks[a] - tracks[b])[:, :2].T)
     height = np.abs(tracks[a, :, 2] - tracks[b, :, 2])
@@ -254,14 +266,14 @@ def _choices(movement: Movement, rows: FloatArray, tracks: FloatArray) -> Iterat
     found.sort(key=lambda choice: choice[0])
     yielded = 0
     for _, choice in found:
-        if len(choice) == 1 or _apart(rows, tracks, *choice):
+        if len(choice) == 1 or stay_apart(rows, tracks, *choice):
             yield choice
             yielded += 1
             if yielded == _CHOICES:
                 return
 
 
-def _witness_in_time(
+def witness_in_time(
     movement: Movement, rows: FloatArray, tracks: FloatArray, clearance: float
 ) -> FloatArray | None:
     """Return a trajectory (200, 6) rad that gets by in time, the wait before it included.
@@ -316,11 +328,13 @@ def cross(
     knots, interval = _draw_knots(rows[:, 1:4], times, level, speed, rng)
     knots[level, :, 2] = rows[level, 3, None]
     tracks = np.einsum("tk,ckd->ctd", _hermite(knots.shape[1], interval), knots)
-    kept = _moves_freely(movement, rows, tracks, speed)
+    even = _even(tracks, speed)
+    kept = even.copy()
+    kept[even] = stays_off(movement, rows[even], tracks[even])
     rows, knots, tracks = rows[kept], knots[kept], np.ascontiguousarray(tracks[kept])
     for choice in _choices(movement, rows, tracks):
         chosen = list(choice)
-        witness = _witness_in_time(movement, rows[chosen], tracks[chosen], CLEARANCE)
+        witness = witness_in_time(movement, rows[chosen], tracks[chosen], CLEARANCE)
         if witness is not None:
             moments = tuple((interval * np.arange(knots.shape[1])).round(6).tolist())
             motions = tuple(
@@ -330,8 +344,19 @@ def cross(
     return None
 
 
-def transfer_movement(query: Query, rng: np.random.Generator) -> Movement:
-    """Return the movement of a query: a family of trajectories of the transfer, executed evenly."""
+def transfer_movement(
+    query: Query, rng: np.random.Generator, others: tuple[FloatArray, ...] = ()
+) -> Movement:
+    """Return the movement of a query: a family of trajectories of the transfer, executed evenly.
+
+    Args:
+        query: which transfer to which goal.
+        rng: source of all randomness.
+        others: further trajectories, (W, 6) rad, that may serve as witness; they come last.
+
+    Raises:
+        UnreachableError: the goal is out of reach.
+    """
     transfer = replace(query.transfer, samples=_MEMBER_SAMPLES)
     query = replace(query, transfer=transfer)
     family = draw_family(query, transfer.proposals, transfer.wide, rng)
@@ -345,17 +370,23 @@ def transfer_movement(query: Query, rng: np.random.Generator) -> Movement:
         return Timing(execution_time(trajectory))
 
     members = [member(transfer, family, index) for index in range(len(family.paths))]
+    members += others
+    besides = (
+        resample(np.array(others), _MEMBER_SAMPLES) if others else np.empty((0, _MEMBER_SAMPLES, 6))
+    )
+    paths = np.concatenate([family.paths, transfer.paths(besides, transfer.swept)])
+    more = np.ones(len(others), np.bool_)
     durations = [execution_time(trajectory) for trajectory in members]
     times = np.array([Timing(duration).times(_MEMBER_SAMPLES) for duration in durations])
     return Movement(
         body=transfer,
         goals=query.goals,
-        paths=family.paths,
+        paths=paths,
         radius=family.radius,
         hand=np.flatnonzero(swept >= 5),
         times=times,
-        proposed=proposed,
-        able=family.able,
+        proposed=np.concatenate([proposed, ~more]),
+        able=np.concatenate([family.able, more]),
         trajectory=lambda index: members[index],
         timing=timing,
         holds=lambda trajectory: is_witness(transfer, trajectory, bodies, none, 0.0),
