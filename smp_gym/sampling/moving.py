@@ -92,6 +92,8 @@ _HIGHEST = 1.0
 
 _MEMBER_SAMPLES = 40
 
+_NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
+
 
 @dataclass(frozen=True, eq=False)
 class Movement:
@@ -304,7 +306,7 @@ def witness_in_time(
 
 
 def cross(
-    movement: Movement, difficulty: str, rng: np.random.Generator
+    movement: Movement, difficulty: str, rng: np.random.Generator, others: FloatArray
 ) -> tuple[FloatArray, tuple[Motion, ...], FloatArray] | None:
     """Draw one or two bodies that move across, and a witness; None if they do not fit together.
 
@@ -312,6 +314,7 @@ def cross(
         movement: what they cross.
         difficulty: says how fast they are, see `SPEEDS`.
         rng: source of all randomness.
+        others: (K, 9) rows of standing obstacles, which they stay apart from.
 
     Returns:
         (M, 9) rows, the motions of these, and the witness, (200, 6) rad.
@@ -331,6 +334,11 @@ def cross(
     even = _even(tracks, speed)
     kept = even.copy()
     kept[even] = stays_off(movement, rows[even], tracks[even])
+    for other in others:
+        both = np.concatenate([rows, other[None]])
+        still = np.repeat(other[None, None, 1:4], TICKS, axis=1)
+        at = np.concatenate([tracks, still])
+        kept[kept] = [stay_apart(both, at, int(c), len(rows)) for c in np.flatnonzero(kept)]
     rows, knots, tracks = rows[kept], knots[kept], np.ascontiguousarray(tracks[kept])
     for choice in _choices(movement, rows, tracks):
         chosen = list(choice)
@@ -345,7 +353,10 @@ def cross(
 
 
 def transfer_movement(
-    query: Query, rng: np.random.Generator, others: tuple[FloatArray, ...] = ()
+    query: Query,
+    rng: np.random.Generator,
+    others: tuple[FloatArray, ...] = (),
+    obstacles: FloatArray = _NO_ROWS,
 ) -> Movement:
     """Return the movement of a query: a family of trajectories of the transfer, executed evenly.
 
@@ -353,6 +364,7 @@ def transfer_movement(
         query: which transfer to which goal.
         rng: source of all randomness.
         others: further trajectories, (W, 6) rad, that may serve as witness; they come last.
+        obstacles: (K, 9) rows that every witness keeps clear of.
 
     Raises:
         UnreachableError: the goal is out of reach.
@@ -363,8 +375,7 @@ def transfer_movement(
     swept = transfer.spheres.link[transfer.swept]
     proposed = family.free.copy()
     proposed[family.proposals :] = False
-    bodies = fixture_rows(query.goals)
-    none = np.empty((0, kernels.OBSTACLE_COLUMNS))
+    bodies, clearance = fixture_rows(query.goals), CLEARANCE if len(obstacles) else 0.0
 
     def timing(trajectory: FloatArray) -> Timing:
         return Timing(execution_time(trajectory))
@@ -389,23 +400,32 @@ def transfer_movement(
         able=np.concatenate([family.able, more]),
         trajectory=lambda index: members[index],
         timing=timing,
-        holds=lambda trajectory: is_witness(transfer, trajectory, bodies, none, 0.0),
+        holds=lambda trajectory: is_witness(transfer, trajectory, bodies, obstacles, clearance),
     )
 
 
-def among_moving(query: Query, difficulty: str, rng: np.random.Generator) -> Draw | None:
+def among_moving(
+    query: Query, difficulty: str, rng: np.random.Generator, others: FloatArray = _NO_ROWS
+) -> Draw | None:
     """Draw bodies that move across a transfer, and a witness; None if they do not fit together.
 
     Args:
         query: which transfer to which goal.
         difficulty: says how fast they are.
         rng: source of all randomness.
+        others: (K, 9) rows of obstacles that stand in the scene besides; they are its first.
 
     Raises:
         UnreachableError: the goal is out of reach.
     """
-    found = cross(transfer_movement(query, rng), difficulty, rng)
+    found = cross(transfer_movement(query, rng, obstacles=others), difficulty, rng, others)
     if found is None:
         return None
     rows, motions, witness = found
-    return Draw(query.transfer.start, query.goals, rows, witness, motions=motions)
+    return Draw(
+        query.transfer.start,
+        query.goals,
+        np.concatenate([others, rows]),
+        witness,
+        motions=(*(None,) * len(others), *motions),
+    )
