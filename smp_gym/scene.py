@@ -183,7 +183,7 @@ class Motion(_Frozen):
         velocities = np.zeros((len(self.times), 3))
         before, after = interval[:-1], interval[1:]
         inner = (after * slope[:-1] + before * slope[1:]) / (before + after)
-        moving = slope.any(axis=1)
+        moving = np.asarray(slope.any(axis=1))
         velocities[1:-1] = np.where((moving[:-1] & moving[1:])[:, None], inner, 0.0)
         if moving[0]:
             velocities[0] = 2.0 * slope[0] - velocities[1]

@@ -160,9 +160,9 @@ class Workcell:
             raise ValueError(f"the scene begins with a collision: {self.collision}")
         for name in self._moving:
             # The engine sees no contact between two bodies that forces do not move.
-            for goal in goal_bodies(scene):
-                if self.world.clearance((name,), (goal,), CLEARANCE_LIMIT) <= 0.0:
-                    raise ValueError(f"the motion of {name} begins in the {goal} of the scene")
+            for place in goal_bodies(scene):
+                if self.world.clearance((name,), (place,), CLEARANCE_LIMIT) <= 0.0:
+                    raise ValueError(f"the motion of {name} begins in the {place} of the scene")
         self._measure()
 
     @property

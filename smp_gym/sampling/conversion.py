@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from smp_gym.arrays import FloatArray
@@ -61,7 +63,7 @@ def to_row(obstacle: Obstacle) -> list[float]:
 def to_obstacle(row: FloatArray, motion: Motion | None = None) -> Obstacle:
     """Return the obstacle of a (9,) row; with a motion, it begins where that does."""
     yaw = float(np.arctan2(row[5], row[4]))
-    fields = {} if motion is None else {"motion": motion}
+    fields: dict[str, Any] = {} if motion is None else {"motion": motion}
     here = (float(row[1]), float(row[2]), float(row[3]))
     return Obstacle(
         shape=SHAPES[int(row[0])],

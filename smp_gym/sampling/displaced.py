@@ -133,7 +133,7 @@ def displace(
     tracks = np.ascontiguousarray(tracks)
     blocks = ~clears(rows[which], tracks)
     share = blocks.mean(axis=1)
-    choices = [(share[a], (a,)) for a in range(len(which))]
+    choices: list[tuple[float, tuple[int, ...]]] = [(share[a], (a,)) for a in range(len(which))]
     choices += [
         ((blocks[a] | blocks[b]).mean(), (a, b))
         for a, b in zip(*np.nonzero(np.triu(pairs)), strict=True)

@@ -203,7 +203,7 @@ def stays_off(movement: Movement, rows: FloatArray, tracks: FloatArray) -> BoolA
     """Return a mask (C,) of bodies that stay off base, table, goals and the resting arm."""
     width = widths(rows)
     half = rows[:, 8, None]
-    kept: BoolArray = (np.hypot(tracks[..., 0], tracks[..., 1]) >= BASE_DISTANCE).all(axis=1)
+    kept = np.asarray((np.hypot(tracks[..., 0], tracks[..., 1]) >= BASE_DISTANCE).all(axis=1))
     low, high = tracks[..., 2] - half, tracks[..., 2] + half
     stands, hangs = standing(rows), hanging(rows)
     kept &= stands | (low >= _TABLE_CLEARANCE).all(axis=1)
@@ -257,7 +257,7 @@ def _choices(movement: Movement, rows: FloatArray, tracks: FloatArray) -> Iterat
     )
     most = _FREE_SHARE * len(proposed)
     order = np.argsort(-blocks.sum(axis=1), kind="stable")[:_BEST]
-    found = []
+    found: list[tuple[int, tuple[int, ...]]] = []
     for i, a in enumerate(order):
         if blocks[a, 0] and (~blocks[a]).sum() <= most:
             found.append((int((~blocks[a]).sum()), (int(a),)))

@@ -1,4 +1,4 @@
-"""Families "moving" and "displaced": paths, reference trajectories in time, what plans once fails."""
+"""Families "moving" and "displaced": paths, reference trajectories in time."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_shifts_are_as_long_as_the_difficulty_says(difficulty: str) -> None:
     for obstacle in shifted:
         assert obstacle.motion is not None
         _, begin, end = obstacle.motion.times
-        assert 0.0 < begin
+        assert begin > 0.0
         assert end - begin == pytest.approx(SHIFT_TIME)
         shift = np.linalg.norm(obstacle.at(end)[0] - np.array(obstacle.position))
         assert low - 1e-9 <= shift <= high + 1e-9
