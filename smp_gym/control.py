@@ -19,7 +19,13 @@ from smp_gym.robot.kinematics import (
     pose_jacobians,
 )
 
-__all__ = ["ANGULAR_SPEED", "LINEAR_SPEED", "joint_action", "reference_action"]
+__all__ = [
+    "ANGULAR_SPEED",
+    "LINEAR_SPEED",
+    "execution_time",
+    "joint_action",
+    "reference_action",
+]
 
 LINEAR_SPEED = 0.15
 """m/s of the end effector at a linear action of 1."""
@@ -27,10 +33,24 @@ LINEAR_SPEED = 0.15
 ANGULAR_SPEED = 0.5
 """rad/s of the end effector at an angular action of 1."""
 
+_SPEED = 0.9
+"""Share of the velocity limits at which a trajectory is executed."""
+
 _LEAST_SQUARES_STEPS = 3
 _DAMPING_LENGTH = 0.02
 """Metres; a radian of rotation counts as 0.3. Directions in which a radian of the joints moves the
 hand by less than that are given up rather than followed by fast joints."""
+
+
+def execution_time(trajectory: FloatArray) -> float:
+    """Return how long a trajectory is executed, s, at 0.9 times the velocity limits.
+
+    Args:
+        trajectory: (T, 6) rad at equal steps of phase, which runs evenly.
+    """
+    phase = np.linspace(0.0, 1.0, len(trajectory))
+    rate = np.abs(np.gradient(trajectory, phase, axis=0)) / JOINT_VELOCITY
+    return float(rate.max()) / _SPEED
 
 
 def reference_action(

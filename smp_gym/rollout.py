@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.arrays import FloatArray
-from smp_gym.control import reference_action
+from smp_gym.control import execution_time, reference_action
 from smp_gym.observation import CONTROL_PERIOD, state_field
-from smp_gym.robot.kinematics import JOINT_VELOCITY
 from smp_gym.scene import Scene
 
 __all__ = [
@@ -27,9 +26,6 @@ __all__ = [
     "play",
     "rollout",
 ]
-
-_SPEED = 0.9
-"""Share of the velocity limits at which a trajectory is played."""
 
 _WAITING_STEPS = 60
 _CLOSING_STEPS = 20
@@ -218,9 +214,7 @@ class Waypoints:
     ) -> Waypoints:
         """Return the waypoints of a trajectory at constant speed of phase; see `play`."""
         phase = np.linspace(0.0, 1.0, len(trajectory))
-        if duration is None:
-            rate = np.abs(np.gradient(trajectory, phase, axis=0)) / JOINT_VELOCITY
-            duration = float(rate.max()) / _SPEED
+        duration = execution_time(trajectory) if duration is None else duration
         steps = int(np.ceil(duration / CONTROL_PERIOD))
         at = np.linspace(0.0, 1.0, steps + 1)
         passed = np.stack([np.interp(at, phase, column) for column in trajectory.T], axis=1)

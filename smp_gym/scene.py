@@ -8,8 +8,10 @@ table top (z = 0, z up); angles are radians; quaternions are (x, y, z, w).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -24,6 +26,7 @@ from pydantic import (
     model_validator,
 )
 
+from smp_gym.arrays import FloatArray
 from smp_gym.geometry.registry import REGISTRY, SHAPES
 
 __all__ = [
@@ -44,6 +47,7 @@ __all__ = [
     "Goal",
     "GoalKind",
     "ManipulatedObject",
+    "Motion",
     "Obstacle",
     "Scene",
     "fixtures",
@@ -137,6 +141,79 @@ class _Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+_VELOCITY_TOLERANCE = 1e-6
+"""m/s, by which the velocity of an obstacle may differ from that of its motion at time 0."""
+
+
+class Motion(_Frozen):
+    """A smooth path of an obstacle's centre in time: a cubic Hermite spline through given knots.
+
+    The velocity at a knot is that of the parabola through it and its two neighbours (Catmull-Rom
+    for unequal intervals), and 0 where the path rests before or after the knot. At the first knot
+    it is that of the parabola which leads to the velocity at the second. After the last knot the
+    body rests where it is.
+
+    Attributes:
+        times: s since the episode began, from 0 on, increasing; at least two.
+        points: m, where the centre is then.
+    """
+
+    times: tuple[FiniteFloat, ...] = Field(min_length=2)
+    points: tuple[Vector3, ...]
+
+    @model_validator(mode="after")
+    def _knots_agree(self) -> Motion:
+        if self.times[0] != 0.0:
+            raise ValueError(f"times of a motion must begin with 0, got {self.times[0]}")
+        for before, after in zip(self.times, self.times[1:], strict=False):
+            if after <= before:
+                raise ValueError(f"times of a motion must increase, got {after} after {before}")
+        if len(self.points) != len(self.times):
+            raise ValueError(
+                f"points of a motion must be as many as its times, {len(self.times)}, "
+                f"got {len(self.points)}"
+            )
+        return self
+
+    @cached_property
+    def _velocities(self) -> tuple[tuple[float, ...], ...]:
+        """(K, 3) m/s at the knots; an array would not let motions be compared."""
+        interval = np.diff(self.times)[:, None]
+        slope = np.diff(np.array(self.points), axis=0) / interval
+        velocities = np.zeros((len(self.times), 3))
+        before, after = interval[:-1], interval[1:]
+        inner = (after * slope[:-1] + before * slope[1:]) / (before + after)
+        moving = np.asarray(slope.any(axis=1))
+        velocities[1:-1] = np.where((moving[:-1] & moving[1:])[:, None], inner, 0.0)
+        if moving[0]:
+            velocities[0] = 2.0 * slope[0] - velocities[1]
+        return tuple(map(tuple, velocities.tolist()))
+
+    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Return position (3,) m and velocity (3,) m/s at a time, s since the episode began."""
+        times = self.times
+        if time >= times[-1]:
+            return np.array(self.points[-1]), np.zeros(3)
+        time = max(0.0, time)
+        k = bisect_right(times, time) - 1
+        length = times[k + 1] - times[k]
+        s = (time - times[k]) / length
+        begin, end = np.array(self.points[k]), np.array(self.points[k + 1])
+        leaving, arriving = np.array(self._velocities[k]), np.array(self._velocities[k + 1])
+        span = end - begin
+        position = (
+            begin
+            + s * s * (3.0 - 2.0 * s) * span
+            + length * s * (1.0 - s) * ((1.0 - s) * leaving - s * arriving)
+        )
+        velocity = (
+            6.0 * s * (1.0 - s) / length * span
+            + (1.0 - s) * (1.0 - 3.0 * s) * leaving
+            + s * (3.0 * s - 2.0) * arriving
+        )
+        return position, velocity
+
+
 class Obstacle(_Frozen):
     """A rigid body that nothing may touch.
 
@@ -147,7 +224,10 @@ class Obstacle(_Frozen):
         quaternion: orientation (x, y, z, w).
         size: half-extents along its own axes, m: (hx, hy, hz) of a box, (radius, radius,
             half height) of a cylinder, (radius, radius, radius) of a sphere.
-        velocity: linear velocity, m/s.
+        velocity: linear velocity, m/s, as it is observed. With a motion it is that at time 0, and
+            may be left out.
+        motion: path of the centre in time, beginning at `position`; None where none is known. A
+            scene in which something moves can be played only with it.
     """
 
     shape: Annotated[str, AfterValidator(_shape)]
@@ -155,6 +235,15 @@ class Obstacle(_Frozen):
     quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     size: Size
     velocity: Vector3 = (0.0, 0.0, 0.0)
+    motion: Motion | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _velocity_of_motion(cls, fields: Any) -> Any:
+        if not isinstance(fields, Mapping) or fields.get("motion") is None or "velocity" in fields:
+            return fields
+        motion = Motion.model_validate(fields["motion"])
+        return {**fields, "motion": motion, "velocity": tuple(motion.at(0.0)[1].tolist())}
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Obstacle:
@@ -162,6 +251,50 @@ class Obstacle(_Frozen):
         if tuple(shape.fitted(np.array(self.size)).tolist()) != self.size:
             raise ValueError(f"size of a {self.shape} is {shape.measures}, got {self.size}")
         return self
+
+    @model_validator(mode="after")
+    def _motion_begins_here(self) -> Obstacle:
+        if self.motion is None:
+            return self
+        if self.motion.points[0] != self.position:
+            raise ValueError(
+                f"the first point of a motion must be the position {self.position}, "
+                f"got {self.motion.points[0]}"
+            )
+        velocity = self.motion.at(0.0)[1]
+        if np.abs(velocity - self.velocity).max() > _VELOCITY_TOLERANCE:
+            raise ValueError(
+                f"velocity of an obstacle with a motion must be that at time 0, "
+                f"{velocity.tolist()}, got {self.velocity}"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_absent_motion(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = handler(self)
+        if self.motion is None:
+            del fields["motion"]
+        return fields
+
+    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Return position (3,) m and velocity (3,) m/s of the centre at a time.
+
+        Without a motion the obstacle is taken to go on at its velocity.
+
+        Args:
+            time: s since the obstacle was as it is here; with a motion, since the episode began.
+        """
+        if self.motion is not None:
+            return self.motion.at(time)
+        velocity = np.array(self.velocity)
+        return np.array(self.position) + time * velocity, velocity
+
+    def moved(self, time: float) -> Obstacle:
+        """Return the obstacle as it is at a time, see `at`, with its velocity and no motion."""
+        if self.motion is None:
+            return self
+        position, velocity = (tuple(vector.tolist()) for vector in self.at(time))
+        return self.model_copy(update={"position": position, "velocity": velocity, "motion": None})
 
 
 class ManipulatedObject(_Frozen):

@@ -95,6 +95,8 @@ class Workcell:
         collision: names of the two parts of the first forbidden contact, or None.
         clearance: m, the least distance so far of arm or held object to an obstacle, at most
             `CLEARANCE_LIMIT`.
+        time: s since the episode began, at which moving obstacles stand. A step that ends early, at
+            a collision, adds only the part that was simulated.
     """
 
     arm: Jaco
@@ -137,6 +139,13 @@ class Workcell:
             self.world.place(name, goal.position)
         for name, obstacle in zip(self.world.obstacles, scene.obstacles, strict=True):
             self.world.place(name, obstacle.position, obstacle.quaternion)
+        self._moving = {
+            name: obstacle
+            for name, obstacle in zip(self.world.obstacles, scene.obstacles, strict=True)
+            if obstacle.motion is not None
+        }
+        self._moved = {name: obstacle.position for name, obstacle in self._moving.items()}
+        self._substeps, self._present = 0, scene.obstacles
         self.world.detect_contacts()
         self.collision: Contact | None = None
         self.clearance = CLEARANCE_LIMIT
@@ -149,12 +158,28 @@ class Workcell:
         self._contacts: frozenset[Contact] = frozenset()
         if self._collides():
             raise ValueError(f"the scene begins with a collision: {self.collision}")
+        for name in self._moving:
+            # The engine sees no contact between two bodies that forces do not move.
+            for place in goal_bodies(scene):
+                if self.world.clearance((name,), (place,), CLEARANCE_LIMIT) <= 0.0:
+                    raise ValueError(f"the motion of {name} begins in the {place} of the scene")
         self._measure()
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The scene's obstacles as they stand now; the same tuple for as long as they stand so."""
-        return self._scene.obstacles
+        """The scene's obstacles as they stand now; the same tuple for as long as they stand so.
+
+        Those that move have their present position and velocity, and no motion.
+        """
+        if self._moving:
+            now = tuple(obstacle.moved(self.time) for obstacle in self._scene.obstacles)
+            self._present = self._present if now == self._present else now
+        return self._present
+
+    @property
+    def time(self) -> float:
+        """Seconds of physics since the episode began."""
+        return self._substeps * PHYSICS_PERIOD
 
     @property
     def lines(self) -> tuple[Line, ...]:
@@ -191,10 +216,20 @@ class Workcell:
         self.arm.release(self.robot)
         self._contacts = frozenset()
         for _ in range(SUBSTEPS):
+            self._substeps += 1
+            self._move_obstacles()
             self.world.step()
             if self._collides():
                 break
         self._measure()
+
+    def _move_obstacles(self) -> None:
+        """Put moving obstacles where they are at the present time; no force moves them."""
+        for name, obstacle in self._moving.items():
+            x, y, z = obstacle.at(self.time)[0].tolist()
+            if self._moved[name] != (x, y, z):
+                self._moved[name] = x, y, z
+                self.world.place(name, (x, y, z), obstacle.quaternion)
 
     def _furnish(self, scene: Scene, manipulated: ManipulatedObject | None) -> None:
         """Fill an empty world: hand open, the object in it, or far away if it is set down later."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from smp_gym.arrays import FloatArray
@@ -14,6 +16,7 @@ from smp_gym.scene import (
     TABLE,
     Configuration,
     Goal,
+    Motion,
     Obstacle,
     goal_boxes,
 )
@@ -57,12 +60,15 @@ def to_row(obstacle: Obstacle) -> list[float]:
     ]
 
 
-def to_obstacle(row: FloatArray) -> Obstacle:
-    """Return the obstacle of a (9,) row."""
+def to_obstacle(row: FloatArray, motion: Motion | None = None) -> Obstacle:
+    """Return the obstacle of a (9,) row; with a motion, it begins where that does."""
     yaw = float(np.arctan2(row[5], row[4]))
+    fields: dict[str, Any] = {} if motion is None else {"motion": motion}
+    here = (float(row[1]), float(row[2]), float(row[3]))
     return Obstacle(
         shape=SHAPES[int(row[0])],
-        position=(float(row[1]), float(row[2]), float(row[3])),
+        position=here if motion is None else motion.points[0],
         quaternion=(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))),
         size=(float(row[6]), float(row[7]), float(row[8])),
+        **fields,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.sampling.conversion import to_configuration, to_obstacle
-from smp_gym.scene import FAMILIES, Goal, ManipulatedObject, Scene
+from smp_gym.scene import FAMILIES, Goal, ManipulatedObject, Motion, Obstacle, Scene
 
 __all__ = ["Draw", "SceneSampler", "first_scene"]
 
@@ -28,6 +28,7 @@ class Draw:
         rows: (M, 9) rows of obstacles, see `smp_gym.sampling.kernels`.
         witness: (W, 6) rad, a feasible reference trajectory; None where none was looked for.
         manipulated: the object, or None.
+        motions: of the obstacles, None for those that stand; empty if all do.
     """
 
     start: FloatArray
@@ -35,6 +36,15 @@ class Draw:
     rows: FloatArray
     witness: FloatArray | None = None
     manipulated: ManipulatedObject | None = _DEFAULT_OBJECT
+    motions: tuple[Motion | None, ...] = ()
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """The obstacles of the scene."""
+        motions = self.motions or (None,) * len(self.rows)
+        return tuple(
+            to_obstacle(row, motion) for row, motion in zip(self.rows, motions, strict=True)
+        )
 
 
 Drawing = Callable[[str, np.random.Generator], Draw | None]
@@ -99,7 +109,7 @@ def first_scene(
                 start=to_configuration(drawn.start),
                 manipulated=drawn.manipulated,
                 goals=drawn.goals,
-                obstacles=tuple(to_obstacle(row) for row in drawn.rows),
+                obstacles=drawn.obstacles,
             )
             return scene, drawn.witness
     raise RuntimeError(f"no scene found for {identity}")

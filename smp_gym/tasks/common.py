@@ -30,7 +30,7 @@ class CommonRules:
     object_in_hand: ClassVar[AnyFloatArray]
 
     def check_scene(self, scene: Scene) -> None:
-        """Raise ValueError if the scene is another task's, something moves or is out of reach."""
+        """Raise ValueError if an episode of this task cannot be played in the scene."""
         if scene.task != self.name:
             raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
         _check_playable(scene)
@@ -57,12 +57,16 @@ class CommonRules:
 
 
 def _check_playable(scene: Scene) -> None:
-    """Raise ValueError if an obstacle moves, or start or goals are out of the arm's reach."""
-    moving = [i for i, o in enumerate(scene.obstacles) if any(o.velocity)]
-    if moving:
-        raise ValueError(
-            f"obstacles must stand still (velocity 0); moving are those numbered {moving}"
-        )
+    """Raise ValueError if an obstacle moves nobody knows where, or the arm reaches not far enough.
+
+    What moves must have a motion; the arm must reach start and goals.
+    """
+    for number, obstacle in enumerate(scene.obstacles):
+        if any(obstacle.velocity) and obstacle.motion is None:
+            raise ValueError(
+                f"scene.obstacles[{number}] without a motion must stand still (velocity 0), "
+                f"got {obstacle.velocity} m/s"
+            )
     start = np.array(scene.start)
     if not ((start >= JOINT_LOWER) & (start <= JOINT_UPPER)).all():
         raise ValueError(

@@ -12,9 +12,11 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.conversion import to_row
+from smp_gym.sampling.displaced import displaced
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.furniture import FURNITURE
+from smp_gym.sampling.moving import among_moving
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.specification import SPECIFICATIONS, DifficultySpecification
 from smp_gym.sampling.transfer import Query, Transfer, make_transfer
@@ -146,6 +148,33 @@ def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | Non
     return None
 
 
+def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw bodies that move across the movement to one side; the other is closed off."""
+    first, second = _draw_queries(rng)
+    return among_moving(first, difficulty, rng, _stopper(second.goal, rng))
+
+
+def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw obstacles on one side that are shifted in mid-episode; the other is closed off."""
+    first, second = _draw_queries(rng)
+    one, _ = _specifications(difficulty)
+    drawn = block_around_witness(first, one, rng)
+    if drawn is None or drawn.witness is None:
+        return None
+    rows = _stopper(second.goal, rng)
+    enough = max(one.clearance, START_CLEARANCE)
+    if first.transfer.clearances(drawn.witness, rows, 1.0).min() < enough:
+        return None
+    drawn = replace(drawn, rows=np.concatenate([drawn.rows, rows]))
+    return displaced(first, drawn, difficulty, rng)
+
+
 SAMPLER = SceneSampler(
-    _draw, _place, {kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    _draw,
+    _place,
+    {
+        **{kind: functools.partial(_furnish, kind) for kind in FURNITURE},
+        "moving": _move,
+        "displaced": _displace,
+    },
 )

@@ -8,9 +8,11 @@ import numpy as np
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.displaced import displaced
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.furniture import FURNITURE
+from smp_gym.sampling.moving import among_moving
 from smp_gym.sampling.specification import SPECIFICATIONS
 from smp_gym.sampling.transfer import Query, Transfer, make_transfer
 from smp_gym.scene import Goal
@@ -56,6 +58,22 @@ def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | Non
     return furnish(kind, _draw_query(rng), rng)
 
 
+def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    return among_moving(_draw_query(rng), difficulty, rng)
+
+
+def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    query = _draw_query(rng)
+    drawn = block_around_witness(query, SPECIFICATIONS[difficulty], rng)
+    return displaced(query, drawn, difficulty, rng)
+
+
 SAMPLER = SceneSampler(
-    _draw, _place, {kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    _draw,
+    _place,
+    {
+        **{kind: functools.partial(_furnish, kind) for kind in FURNITURE},
+        "moving": _move,
+        "displaced": _displace,
+    },
 )
