@@ -136,11 +136,11 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
 def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw furniture on both sides, both with a witness; the scene's is that of the first."""
     first, second = _draw_queries(rng)
-    drawn = furnish(kind, first, rng)
+    drawn = furnish(kind, difficulty, first, rng)
     if drawn is None:
         return None
     for _ in range(_SIDE_DRAWS):
-        both = furnish(kind, second, rng, drawn)
+        both = furnish(kind, difficulty, second, rng, drawn)
         if both is not None:
             return both
     return None

@@ -53,7 +53,7 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
 
 
 def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | None:
-    return furnish(kind, _draw_query(rng), rng)
+    return furnish(kind, difficulty, _draw_query(rng), rng)
 
 
 SAMPLER = SceneSampler(
