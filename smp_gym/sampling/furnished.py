@@ -51,7 +51,7 @@ TIGHTNESS = {
 _HAND_LINK = 5
 """The hand: spheres from this link on, fingers and held object included."""
 
-_STEEP = {"box": (0.6, 1.1)}
+_STEEP = {"box": (0.9, 1.3)}
 _ALONG = (0.0, 0.15)
 _LENGTHS = (0.14, 0.26)
 _STEP = 0.02
@@ -68,8 +68,10 @@ _INSERTION_SHARE = 0.3
 _GOAL_BODY_CLEARANCE = 0.012
 """m, between furniture and points on the body of a goal."""
 
-_FREE_SHARE = 0.03
-"""Share of the proposals that furniture may leave free."""
+_FREE_SHARE = 0.05
+_FREE_SHARE_OF_BOX = 0.2
+"""Share of the proposals that furniture may leave free; what comes from above, as most of them do,
+often finds into a box."""
 
 _MEMBER_SAMPLES = 40
 _PROPOSALS = 60
@@ -199,6 +201,8 @@ def _passage(query: Query, insertion: FloatArray, tightness: Tightness) -> Passa
         centers=centers.reshape(-1, 3),
         radius=np.tile(radius, len(centers)),
         bottom=float((centers[-1, hand, 2] - radius[hand]).min()),
+        reach=float((centers[-1, hand, 0] + radius[hand]).max()),
+        rise=float(centers[0, -1, 2] - centers[-1, -1, 2]),
         middle=(low + high) / 2,
         opening=high - low + tightness.gap,
         headroom=tightness.gap / 2,
@@ -231,11 +235,11 @@ def _points_of(goals: tuple[Goal, ...]) -> FloatArray:
     return np.concatenate(points)[None]
 
 
-def _blocks_enough(family: Family, rows: FloatArray) -> bool:
-    """Return whether furniture blocks the mean and leaves few proposals free."""
+def _blocks_enough(family: Family, rows: FloatArray, share: float) -> bool:
+    """Return whether furniture blocks the mean and leaves at most a share of the proposals free."""
     blocked = kernels.blocked_paths(family.paths, family.radius, rows, BLOCKING_DEPTH)
     free: BoolArray = family.free & ~blocked.any(axis=0)
-    return bool(not free[0] and free.sum() <= _FREE_SHARE * family.free.sum())
+    return bool(not free[0] and free.sum() <= share * family.free.sum())
 
 
 def furnish(
@@ -278,6 +282,7 @@ def furnish(
             for trajectory, least in kept
         )
 
+    share = _FREE_SHARE_OF_BOX if kind == "box" else _FREE_SHARE
     proposals: Family | None = None
     for _ in range(_INSERTIONS):
         insertion = _draw_insertion(kind, query, rng)
@@ -295,7 +300,7 @@ def furnish(
         rows = pieces[0]
         if proposals is None:
             proposals = draw_family(query, _PROPOSALS, 0, rng)
-        if not _blocks_enough(proposals, rows):
+        if not _blocks_enough(proposals, rows, share):
             continue
         found = _lead_to(insertion, query, np.concatenate([others, rows]), tightness, rng)
         if found is not None:

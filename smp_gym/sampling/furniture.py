@@ -32,10 +32,12 @@ _STILE_DEPTH = 0.02
 _UPPER_COMPARTMENT = (0.14, 0.22)
 """Of a shelf: depth of the stiles beside its opening, height of the compartment over the goal's."""
 
-_LID = (0.04, 0.09)
+_LID = (0.03, 0.07)
+_FLAP = (0.85, 1.0)
 _LEAST_RIM = 0.03
-"""Of a box: how high its flaps lie above the lowest point of the hand at the release, and the
-lowest front wall that is worth its while."""
+"""Of a box: how high its lid lies above the lowest point of the hand at the release, how high
+the flaps on it reach, as a share of how high hand and object rise out of them, and the lowest front
+wall that is worth its while."""
 
 _POST_RADIUS = (0.010, 0.016)
 _BAR_HEIGHT = (0.14, 0.28)
@@ -63,6 +65,8 @@ class Passage:
         centers: (K, 3), spheres that arm, hand and object sweep, in the goal's frame.
         radius: (K,) of these.
         bottom: height of the lowest point of hand and object at the release.
+        reach: x of their farthest point there.
+        rise: how much higher that is at the begin of the movement.
         middle: y of the middle of the hand at the release.
         opening: free width of the opening.
         headroom: what the piece leaves above and below the spheres.
@@ -75,6 +79,8 @@ class Passage:
     centers: FloatArray
     radius: FloatArray
     bottom: float
+    reach: float
+    rise: float
     middle: float
     opening: float
     headroom: float
@@ -97,6 +103,20 @@ class Passage:
 
 
 Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A piece of furniture in the frame of its goal.
+
+    Attributes:
+        parts: of it.
+        front, back: x of the begin and the end of its opening.
+    """
+
+    parts: list[Obstacle]
+    front: float
+    back: float
 
 
 def _box(x: Range, y: Range, z: Range) -> Obstacle:
@@ -141,7 +161,7 @@ def _extent(passage: Passage, rng: np.random.Generator) -> tuple[float, float, f
     return -float(front), float(back), float(half)
 
 
-def _shelf(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
+def _shelf(passage: Passage, rng: np.random.Generator) -> _Piece:
     """Return stiles, side panels, back, two boards and a can on the lower of these."""
     front, back, half = _extent(passage, rng)
     thick = rng.uniform(*_PANEL)
@@ -151,7 +171,7 @@ def _shelf(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
     x, y = rng.uniform(front + radius, back - radius), rng.uniform(radius - half, half - radius)
     right, left = _mirrored(passage, half, half + thick)
     inner = right[1], left[0]
-    return [
+    parts = [
         *(
             _box((front - _STILE_DEPTH, front), y, (0.0, board))
             for y in _mirrored(passage, passage.opening / 2, half + thick)
@@ -163,15 +183,18 @@ def _shelf(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
         _box((front, back), inner, (top - thick, top)),
         _standing_cylinder(x, y + passage.middle, radius, board + thick, board + thick + height),
     ]
+    return _Piece(parts, front - _STILE_DEPTH, front)
 
 
-def _open_box(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
-    """Return side walls, back, a lower front wall, and two flaps that leave a slot."""
+def _open_box(passage: Passage, rng: np.random.Generator) -> _Piece:
+    """Return side walls, back, a lower front wall, a lid with a slot, and flaps beside the slot."""
     front, back, half = _extent(passage, rng)
     thick = rng.uniform(*_PANEL)
     lid = passage.bottom + rng.uniform(*_LID)
     rim = min(passage.sill(front - thick, front), lid)
     right, left = _mirrored(passage, half, half + thick)
+    flaps = _mirrored(passage, passage.opening / 2, passage.opening / 2 + thick)
+    flap = max(passage.bottom + passage.rise * rng.uniform(*_FLAP), lid + 2 * thick)
     parts = [
         _box((front, back), right, (0.0, lid)),
         _box((front, back), left, (0.0, lid)),
@@ -180,13 +203,15 @@ def _open_box(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
             _box((front, back + thick), y, (lid, lid + thick))
             for y in _mirrored(passage, passage.opening / 2, half + thick)
         ),
+        *(_box((front, back + thick), y, (lid + thick, flap)) for y in flaps),
     ]
     if rim > _LEAST_RIM:
         parts.append(_box((front - thick, front), (right[0], left[1]), (0.0, rim)))
-    return parts
+    # Hand and object reach a little beyond the goal's middle.
+    return _Piece(parts, front, passage.reach)
 
 
-def _cage(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
+def _cage(passage: Passage, rng: np.random.Generator) -> _Piece:
     """Return four posts, bars on both sides (two of them towards the start), one over the front."""
     front, back, half = _extent(passage, rng)
     radius = rng.uniform(*_POST_RADIUS)
@@ -199,16 +224,17 @@ def _cage(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
     }
     top = lintel + radius
     posts = [_standing_cylinder(*at, radius, 0.0, top) for ends in corners.values() for at in ends]
-    return [
+    parts = [
         *posts,
         _bar(*corners[passage.side], near, radius),
         _bar(*corners[passage.side], lintel, radius),
         _bar(*corners[-passage.side], far, radius),
         _bar(corners[-1][0], corners[1][0], lintel, radius),
     ]
+    return _Piece(parts, front - radius, front + radius)
 
 
-def _desk(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
+def _desk(passage: Passage, rng: np.random.Generator) -> _Piece:
     """Return a board on two pedestals in front and two legs behind, with objects on it."""
     front, back, half = _extent(passage, rng)
     depth, thick = rng.uniform(*_PEDESTAL_DEPTH), rng.uniform(*_PANEL)
@@ -236,10 +262,10 @@ def _desk(passage: Passage, rng: np.random.Generator) -> list[Obstacle]:
             parts.append(_standing_cylinder(u, v, width, top, high))
         else:
             parts.append(_box((u - width, u + width), (v - width, v + width), (top, high)))
-    return parts
+    return _Piece(parts, front - depth, front)
 
 
-_BUILDERS: dict[str, Callable[[Passage, np.random.Generator], list[Obstacle]]] = {
+_BUILDERS: dict[str, Callable[[Passage, np.random.Generator], _Piece]] = {
     "shelf": _shelf,
     "box": _open_box,
     "cage": _cage,
@@ -263,17 +289,17 @@ def draw_furniture(
         passage: what it is built for.
         rng: source of all randomness.
     """
-    parts = _BUILDERS[kind](passage, rng)
+    piece = _BUILDERS[kind](passage, rng)
     # The longer the opening, the less of a turn does it bear.
-    pivot, reach = (-passage.half / 2, passage.half) if kind == "box" else (-passage.half, 0.03)
-    limit = min(_LARGEST_TURN, passage.slack / reach)
+    pivot = (piece.front + piece.back) / 2
+    limit = min(_LARGEST_TURN, 2 * passage.slack / (piece.back - piece.front))
     turn = rng.uniform(-limit, limit)
     x, y, _ = passage.goal
     bearing = float(np.arctan2(y, x))
     c, s = float(np.cos(bearing)), float(np.sin(bearing))
     a, b = float(np.cos(turn)), float(np.sin(turn))
     placed = []
-    for part in parts:
+    for part in piece.parts:
         u, v = part.position[0] - pivot, part.position[1] - passage.middle
         u, v = pivot + a * u - b * v, passage.middle + b * u + a * v
         _, _, sine, cosine = part.quaternion
