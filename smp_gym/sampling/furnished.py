@@ -15,6 +15,7 @@ import numpy as np
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.robot.chain import END_EFFECTOR, link_transforms
 from smp_gym.robot.inverse import damped_step, pose_errors, pose_jacobians
+from smp_gym.robot.spheres import concatenate, finger_spheres, sphere_centers
 from smp_gym.sampling import kernels
 from smp_gym.sampling.conversion import fixture_rows, to_row, to_solid_row
 from smp_gym.sampling.detours import smoothstep
@@ -61,6 +62,9 @@ _POSITION_ERROR = 1e-3
 """Of an insertion: its angle below the horizontal, rad, of some kinds; of the others by how much it
 is steeper than the hand; its length, its steps, m, and the largest of a joint, rad; the Newton
 steps at each, and the error that they may leave, m."""
+
+_OPENING_ANGLES = (0.0, 0.3, 0.6)
+"""Angles of the fingers that let go, rad: they need more room than the hand that comes in."""
 
 _INSERTION_SHARE = 0.3
 """Of the witness's samples."""
@@ -136,6 +140,13 @@ def hand_width(query: Query) -> float:
     return high - low
 
 
+def _opened(query: Query) -> tuple[FloatArray, FloatArray]:
+    """Return centres (K, 3) m and radii (K,) m of the fingers' spheres, opening at the release."""
+    opening = [finger_spheres((angle, angle, 0.0, 0.0)) for angle in _OPENING_ANGLES]
+    spheres = concatenate(*opening)
+    return sphere_centers(query.release, spheres), spheres.radius
+
+
 def _retreat(transfer: Transfer, release: FloatArray, step: FloatArray, count: int) -> FloatArray:
     """Return (K, 6) rad, K <= 1 + count: the hand moved from its release in steps (3,) m.
 
@@ -195,6 +206,8 @@ def _passage(query: Query, insertion: FloatArray, tightness: Tightness) -> Passa
     low, high = _hand_range(query)
     start = (link_transforms(transfer.start)[-1] @ END_EFFECTOR @ transfer.held)[:3, 3] - origin
     body = to_solid_row(query.goal)[6]
+    opened, finger_radius = _opened(query)
+    fingers = (opened - origin) @ axes.T
     return Passage(
         goal=query.goal.position,
         half=float(body * (np.abs(axes[0, 0]) + np.abs(axes[0, 1]))),
@@ -202,6 +215,8 @@ def _passage(query: Query, insertion: FloatArray, tightness: Tightness) -> Passa
         radius=np.tile(radius, len(centers)),
         bottom=float((centers[-1, hand, 2] - radius[hand]).min()),
         reach=float((centers[-1, hand, 0] + radius[hand]).max()),
+        spread=float((np.abs(fingers[:, 1] - (low + high) / 2) + finger_radius).max()),
+        inside=float((fingers[:, 2] + finger_radius).max()),
         rise=float(centers[0, -1, 2] - centers[-1, -1, 2]),
         middle=(low + high) / 2,
         opening=high - low + tightness.gap,
@@ -266,18 +281,21 @@ def furnish(
     transfer = replace(query.transfer, samples=_MEMBER_SAMPLES)
     query = replace(query, transfer=transfer)
     points = _points_of(query.goals)
+    fingers, finger_radius = _opened(query)
     others = np.empty((0, kernels.OBSTACLE_COLUMNS)) if before is None else before.rows
     other = None if before is None else before.witness
 
     def fits(rows: FloatArray, insertion: FloatArray) -> bool:
         at_goals = kernels.path_clearances(points, np.zeros(points.shape[1]), rows, 1.0).min()
+        opened = kernels.path_clearances(fingers[None], finger_radius, rows, 1.0).min()
         kept: list[tuple[FloatArray, float]] = [
             (transfer.start[None], START_CLEARANCE),
             (insertion, tightness.clearance),
         ]
         if other is not None:
             kept.append((other, tightness.clearance))
-        return bool(at_goals >= _GOAL_BODY_CLEARANCE) and all(
+        free = at_goals >= _GOAL_BODY_CLEARANCE and opened >= tightness.clearance
+        return bool(free) and all(
             transfer.clearances(trajectory, rows, least).min() >= least
             for trajectory, least in kept
         )

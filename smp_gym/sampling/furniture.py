@@ -26,16 +26,16 @@ _PANEL = (0.010, 0.016)
 """Thickness of panels and boards."""
 
 _SETBACK = (0.02, 0.06)
-"""How far a piece stands off the goal's body, on each side."""
+"""How far a piece stands off the goal's body and the open hand, on each side."""
 
 _STILE_DEPTH = 0.02
 _UPPER_COMPARTMENT = (0.14, 0.22)
 """Of a shelf: depth of the stiles beside its opening, height of the compartment over the goal's."""
 
-_LID = (0.03, 0.07)
+_LID = (0.01, 0.03)
 _FLAP = (0.85, 1.0)
 _LEAST_RIM = 0.03
-"""Of a box: how high its lid lies above the lowest point of the hand at the release, how high
+"""Of a box: how high its lid lies above the fingers that open, how high
 the flaps on it reach, as a share of how high hand and object rise out of them, and the lowest front
 wall that is worth its while."""
 
@@ -66,6 +66,8 @@ class Passage:
         radius: (K,) of these.
         bottom: height of the lowest point of hand and object at the release.
         reach: x of their farthest point there.
+        spread: half width of the hand once it has opened.
+        inside: height of the highest point of its fingers then.
         rise: how much higher that is at the begin of the movement.
         middle: y of the middle of the hand at the release.
         opening: free width of the opening.
@@ -80,6 +82,8 @@ class Passage:
     radius: FloatArray
     bottom: float
     reach: float
+    spread: float
+    inside: float
     rise: float
     middle: float
     opening: float
@@ -157,8 +161,9 @@ def _mirrored(passage: Passage, low: float, high: float) -> tuple[Range, Range]:
 
 def _extent(passage: Passage, rng: np.random.Generator) -> tuple[float, float, float]:
     """Return front, back and half width of a piece around the goal's body."""
-    front, back, half = passage.half + rng.uniform(*_SETBACK, size=3)
-    return -float(front), float(back), float(half)
+    least = np.array([passage.half, passage.half, max(passage.half, passage.spread)])
+    front, back, half = (least + rng.uniform(*_SETBACK, size=3)).tolist()
+    return -front, back, half
 
 
 def _shelf(passage: Passage, rng: np.random.Generator) -> _Piece:
@@ -190,7 +195,7 @@ def _open_box(passage: Passage, rng: np.random.Generator) -> _Piece:
     """Return side walls, back, a lower front wall, a lid with a slot, and flaps beside the slot."""
     front, back, half = _extent(passage, rng)
     thick = rng.uniform(*_PANEL)
-    lid = passage.bottom + rng.uniform(*_LID)
+    lid = passage.inside + rng.uniform(*_LID)
     rim = min(passage.sill(front - thick, front), lid)
     right, left = _mirrored(passage, half, half + thick)
     flaps = _mirrored(passage, passage.opening / 2, passage.opening / 2 + thick)
@@ -276,9 +281,7 @@ FURNITURE = tuple(_BUILDERS)
 """Kinds of furniture."""
 
 
-def draw_furniture(
-    kind: str, passage: Passage, rng: np.random.Generator
-) -> tuple[Obstacle, ...]:
+def draw_furniture(kind: str, passage: Passage, rng: np.random.Generator) -> tuple[Obstacle, ...]:
     """Return a piece of furniture of random size, at a random turn, around a goal.
 
     It is fitted to the middle of what moves: collisions that its turn brings are for the caller to
