@@ -11,6 +11,7 @@ from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
@@ -146,6 +147,17 @@ def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | Non
     return None
 
 
+def _clutter(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw half of the clutter on each side, both with a witness; the scene's is the first's."""
+    first, second = _draw_queries(rng)
+    half = replace(CLUTTER[difficulty], solids=CLUTTER[difficulty].solids // 2)
+    drawn = clutter(first, half, rng)
+    return None if drawn is None else clutter(second, half, rng, drawn)
+
+
 SAMPLER = SceneSampler(
-    _draw, _place, {kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    _draw,
+    _place,
+    families={kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    | {"clutter": _clutter},
 )

@@ -8,6 +8,7 @@ import numpy as np
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.furniture import FURNITURE
@@ -56,6 +57,13 @@ def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | Non
     return furnish(kind, difficulty, _draw_query(rng), rng)
 
 
+def _clutter(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    return clutter(_draw_query(rng), CLUTTER[difficulty], rng)
+
+
 SAMPLER = SceneSampler(
-    _draw, _place, {kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    _draw,
+    _place,
+    families={kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    | {"clutter": _clutter},
 )
