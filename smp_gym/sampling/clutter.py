@@ -1,9 +1,8 @@
 """Clutter: many solids of mixed shape and size around a witness, standing, stacked or hanging.
 
-As with single obstacles the witness is drawn first, out of the wide detours of a family. Solids
-are then taken, one after the other, out of many random ones: always that which blocks most of what
-the ones before have left free. Half of them stand on the table or hang; the rest come in two
-rounds, in which what stands may also carry another solid.
+As with single obstacles the witness is drawn first, out of the wide detours of a family. Stacks
+and hanging solids are then taken, one after the other, out of many random ones: always that which
+blocks most of what the ones before have left free.
 """
 
 from __future__ import annotations
@@ -11,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
-from smp_gym.sampling.bodies import standing
 from smp_gym.sampling.choice import REPEATED, widths
 from smp_gym.sampling.conversion import fixture_rows
 from smp_gym.sampling.draws import Draw
@@ -52,28 +51,30 @@ HALF_EXTENTS = (0.015, 0.06)
 """Range of the half-extents of solids, m."""
 
 _SHAPE_SHARES = (0.45, 0.35, 0.2)
-_HANGING_SHARE = 0.4
-_LOWEST_HANGING = 0.10
-"""Shares of `SHAPES`, share of the solids that hang, and how high above the table at least, m."""
-
-_SIZE_CLASSES = (0.032, 0.046)
-"""Greatest half-extent of small and of middle-sized solids, m: the sizes take turns, as the largest
-would always block most."""
-
-_ROUNDS = (0.5, 0.75, 1.0)
-"""Share of the solids that are there after each round."""
-
-_CANDIDATES = 300
-_ON_TOP = 6
+_STACK_SHARES = (0.15, 0.25, 0.35, 0.25)
 _OFF_CENTRE = 0.5
-"""Numbers of solids drawn in each round, and of those drawn upon each that stands; how far off its
-axis these are at most, as a share of its least half-extent."""
+"""Shares of `SHAPES` and of stacks of one, two, ... solids; how far off the middle of what is below
+it a solid stands, as a share of what would leave it wholly supported."""
+
+_HANGING_SHARE = 0.4
+_LOWEST_HANGING = 0.22
+_MOST_HANGING = 1 / 3
+"""Share of what is drawn that hangs, how high above the table at least, m, and the largest share of
+the solids that may hang."""
+
+_ROUNDS = (0.6, 1.0)
+_CANDIDATES = 240
+"""Share of the solids that are there after each round, and number of stacks and hanging solids
+drawn in each."""
 
 _APART = 0.002
 """Least distance between solids that do not stand on one another, m."""
 
+_WORTH_OF_MEAN = 30.0
+"""As many members as blocking the mean of the demonstrations is worth; it must be blocked."""
+
 _FAMILIES = 3
-_WITNESSES = 3
+_WITNESSES = 4
 _GLANCE = 8
 """Numbers of families tried for a goal, and of members of each tried as the witness; every
 so-many-th sample of the witness is looked at first."""
@@ -83,44 +84,59 @@ _HAND_LINK = 5
 _NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
 
 
-def _draw_solids(count: int, rng: np.random.Generator) -> FloatArray:
-    """Return (count, 9) rows of random solids at the origin."""
-    shape = rng.choice(len(_SHAPE_SHARES), size=count, p=_SHAPE_SHARES)
-    size = rng.uniform(*HALF_EXTENTS, size=(count, 3))
-    box, ball = SHAPES.index("box"), SHAPES.index("sphere")
-    size[shape != box, 1] = size[shape != box, 0]
-    size[shape == ball, 2] = size[shape == ball, 0]
-    yaw = rng.uniform(-np.pi, np.pi, size=count)
-    return np.column_stack([shape, np.zeros((count, 3)), np.cos(yaw), np.sin(yaw), size])
+def _draw_stacks(
+    points: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.int64], BoolArray]:
+    """Draw for each point (C, 3) m a solid that hangs there or a stack on the table below it.
 
-
-def _around(query: Query, family: Family, free: BoolArray, rng: np.random.Generator) -> FloatArray:
-    """Return rows of solids that stand below or hang at the hand on free members (N,)."""
-    rows = _draw_solids(_CANDIDATES, rng)
-    pool = np.flatnonzero(free if free.any() else family.free)
-    if not len(pool):
-        return _NO_ROWS
-    hand = np.flatnonzero(query.transfer.spheres.link[query.transfer.swept] >= _HAND_LINK)
-    at = (
-        pool[rng.integers(len(pool), size=len(rows))],
-        rng.integers(query.transfer.samples, size=len(rows)),
-        hand[rng.integers(len(hand), size=len(rows))],
+    Returns:
+        Rows (M, 9) of all solids, those of a stack one after the other; (C,) index of the first of
+        each; (C,) which hang.
+    """
+    most = len(_STACK_SHARES)
+    count = 1 + rng.choice(most, size=len(points), p=_STACK_SHARES)
+    hangs = rng.uniform(size=len(points)) < _HANGING_SHARE
+    count[hangs] = 1
+    there = np.arange(most) < count[:, None]
+    shape = rng.choice(len(_SHAPE_SHARES), size=there.shape, p=_SHAPE_SHARES)
+    box, cylinder, ball = (SHAPES.index(name) for name in ("box", "cylinder", "sphere"))
+    # Nothing stands on a ball.
+    shape[(shape == ball) & (np.arange(most) < count[:, None] - 1)] = cylinder
+    size = rng.uniform(*HALF_EXTENTS, size=(*there.shape, 3))
+    # The widest is the lowest.
+    flat = np.where(there[..., None], size[..., :2], 0.0)
+    size[..., :2] = np.take_along_axis(
+        size[..., :2], np.argsort(-flat.min(axis=-1), axis=1, kind="stable")[..., None], axis=1
     )
-    rows[:, 1:4] = family.paths[at]
-    hangs = rng.uniform(size=len(rows)) < _HANGING_SHARE
-    lowest = rows[:, 8] + _LOWEST_HANGING
-    rows[:, 3] = np.where(hangs, np.maximum(rows[:, 3], lowest), rows[:, 8])
-    return rows
+    size[..., 1] = np.where(shape == box, size[..., 1], size[..., 0])
+    size[..., 2] = np.where(shape == ball, size[..., 0], size[..., 2])
+    width = size[..., :2].min(axis=-1)
+    reach = _OFF_CENTRE * np.maximum(0.0, width[:, :-1] - width[:, 1:]) / np.sqrt(2.0)
+    shift = reach[..., None] * rng.uniform(-1.0, 1.0, size=(*reach.shape, 2))
+    position = np.empty((*there.shape, 3))
+    position[:, 0, :2] = points[:, :2]
+    position[:, 1:, :2] = points[:, None, :2] + np.cumsum(shift, axis=1)
+    position[..., 2] = 2.0 * np.cumsum(size[..., 2], axis=1) - size[..., 2]
+    lowest = _LOWEST_HANGING + size[:, 0, 2]
+    position[hangs, 0, 2] = np.maximum(points[:, 2], lowest)[hangs]
+    yaw = np.broadcast_to(rng.uniform(-np.pi, np.pi, size=(len(points), 1)), there.shape)
+    rows = np.concatenate(
+        [shape[..., None], position, np.cos(yaw)[..., None], np.sin(yaw)[..., None], size], axis=-1
+    )
+    return rows[there], np.cumsum(count) - count, hangs
 
 
-def _upon(rows: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return rows of solids that stand on the flat ones of the given (C, 9), near their middles."""
-    flat = rows[rows[:, 0] != SHAPES.index("sphere")].repeat(_ON_TOP, axis=0)
-    upper = _draw_solids(len(flat), rng)
-    reach = _OFF_CENTRE * flat[:, 6:8].min(axis=1)
-    upper[:, 1:3] = flat[:, 1:3] + reach[:, None] * rng.uniform(-0.7, 0.7, size=(len(flat), 2))
-    upper[:, 3] = flat[:, 3] + flat[:, 8] + upper[:, 8]
-    return upper
+def _near_hand(
+    query: Query, family: Family, which: BoolArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return (C, 3) m, places of the hand on members (N,) of a family."""
+    pool = np.flatnonzero(which if which.any() else family.free)
+    hand = np.flatnonzero(query.transfer.spheres.link[query.transfer.swept] >= _HAND_LINK)
+    return family.paths[
+        pool[rng.integers(len(pool), size=_CANDIDATES)],
+        rng.integers(query.transfer.samples, size=_CANDIDATES),
+        hand[rng.integers(len(hand), size=_CANDIDATES)],
+    ]
 
 
 def _overlap(rows: FloatArray, others: FloatArray) -> BoolArray:
@@ -128,7 +144,7 @@ def _overlap(rows: FloatArray, others: FloatArray) -> BoolArray:
     distance = np.hypot(rows[:, None, 1] - others[:, 1], rows[:, None, 2] - others[:, 2])
     height = np.abs(rows[:, None, 3] - others[:, 3])
     beside = distance >= widths(rows)[:, None] + widths(others) + _APART
-    over = height >= rows[:, None, 8] + others[:, 8] - 1e-9
+    over = height >= rows[:, None, 8] + others[:, 8] + _APART
     return np.asarray(~(beside | over))
 
 
@@ -137,34 +153,38 @@ def _fill(
     family: Family,
     witnesses: list[FloatArray],
     others: FloatArray,
-    solids: int,
-    clearance: float,
+    specification: ClutterSpecification,
     rng: np.random.Generator,
 ) -> FloatArray | None:
-    """Return (solids, 9) rows that leave witnesses (W, 6) clear; None if there is no room."""
-    transfer = query.transfer
+    """Return (M, 9) rows that leave witnesses (W, 6) clear; None if there is no room for all."""
+    transfer, clearance = query.transfer, specification.clearance
     chosen = _NO_ROWS
     # What is blocked already still counts a little: its neighbours, which were not drawn, do too.
     weight = family.free * REPEATED ** family.blocked(others).sum(axis=0)
+    weight[0] *= _WORTH_OF_MEAN
+    may_hang = int(_MOST_HANGING * specification.solids)
     for share in _ROUNDS:
-        rows = _around(query, family, family.free & (weight == 1.0), rng)
-        rows = np.concatenate([rows, _upon(chosen[standing(chosen)], rng)])
-        rows = rows[fits(query, rows) & ~_overlap(rows, np.concatenate([others, chosen])).any(1)]
+        rows, first, hangs = _draw_stacks(_near_hand(query, family, weight >= 1.0, rng), rng)
+        counts = np.diff(first, append=len(rows))
+        good = fits(query, rows) & ~_overlap(rows, np.concatenate([others, chosen])).any(axis=1)
         for witness in witnesses:
             for samples in (witness[::_GLANCE], witness):
-                rows = rows[transfer.clearances(samples, rows, clearance) >= clearance]
-        blocks = family.near(rows, -_GRID_DEPTH)
-        category = np.digitize(rows[:, 6:].max(axis=1), _SIZE_CLASSES)
-        possible = np.ones(len(rows), np.bool_)
-        while len(chosen) < round(share * solids):
-            now = possible & (category == len(chosen) % (len(_SIZE_CLASSES) + 1))
-            now = now if now.any() else possible
+                good[good] = transfer.clearances(samples, rows[good], clearance) >= clearance
+        possible = np.logical_and.reduceat(good, first)
+        blocks = np.logical_or.reduceat(family.near(rows, -_GRID_DEPTH), first)
+        goal = round(share * specification.solids)
+        while len(chosen) < goal:
+            now = possible & (counts <= goal - len(chosen)) & ~(hangs & (may_hang == 0))
             if not now.any():
                 return None
-            best = int(np.where(now, blocks @ weight, -1.0).argmax())
-            chosen = np.concatenate([chosen, rows[best : best + 1]])
+            # By solid, but less so: a stack is worth more than what it blocks alone.
+            value = (blocks @ weight) / np.sqrt(counts)
+            best = int(np.where(now, value, -1.0).argmax())
+            stack = rows[first[best] : first[best] + counts[best]]
+            chosen = np.concatenate([chosen, stack])
+            may_hang -= int(hangs[best])
             weight = np.where(blocks[best], weight * REPEATED, weight)
-            possible &= ~_overlap(rows, rows[best : best + 1])[:, 0]
+            possible &= ~np.logical_or.reduceat(_overlap(rows, stack).any(axis=1), first)
     return chosen
 
 
@@ -198,15 +218,7 @@ def clutter(
             witness = member(transfer, family, int(index))
             if not is_witness(transfer, witness, bodies, others, clearance):
                 continue
-            rows = _fill(
-                query,
-                family,
-                [witness, *earlier],
-                others,
-                specification.solids,
-                clearance,
-                rng,
-            )
+            rows = _fill(query, family, [witness, *earlier], others, specification, rng)
             if rows is None:
                 continue
             together = np.concatenate([others, rows])

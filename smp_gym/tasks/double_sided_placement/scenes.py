@@ -46,6 +46,9 @@ its centre over the pad."""
 _PROPOSALS = 168
 """To each pad: two goals are two chances to get through, so each has to be blocked more surely."""
 
+_CLUTTER_FREE_SHARES = {"easy": 0.35, "medium": 0.2, "hard": 0.05}
+"""Share of the proposals for each pad that half of the clutter may leave free."""
+
 _SIDE_DRAWS = 6
 """Number of families tried on the second of two furnished sides."""
 
@@ -150,7 +153,11 @@ def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | Non
 def _clutter(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw half of the clutter on each side, both with a witness; the scene's is the first's."""
     first, second = _draw_queries(rng)
-    half = replace(CLUTTER[difficulty], solids=CLUTTER[difficulty].solids // 2)
+    half = replace(
+        CLUTTER[difficulty],
+        solids=CLUTTER[difficulty].solids // 2,
+        free_share=_CLUTTER_FREE_SHARES[difficulty],
+    )
     drawn = clutter(first, half, rng)
     return None if drawn is None else clutter(second, half, rng, drawn)
 
