@@ -108,9 +108,9 @@ def _draw_stacks(
     size[..., :2] = np.take_along_axis(
         size[..., :2], np.argsort(-flat.min(axis=-1), axis=1, kind="stable")[..., None], axis=1
     )
-    size[..., 1] = np.where(shape == box, size[..., 1], size[..., 0])
-    size[..., 2] = np.where(shape == ball, size[..., 0], size[..., 2])
     width = size[..., :2].min(axis=-1)
+    size[shape != box, :2] = width[shape != box, None]
+    size[shape == ball, 2] = width[shape == ball]
     reach = _OFF_CENTRE * np.maximum(0.0, width[:, :-1] - width[:, 1:]) / np.sqrt(2.0)
     shift = reach[..., None] * rng.uniform(-1.0, 1.0, size=(*reach.shape, 2))
     position = np.empty((*there.shape, 3))
