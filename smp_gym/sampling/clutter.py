@@ -42,9 +42,9 @@ class ClutterSpecification:
 
 
 CLUTTER = {
-    "easy": ClutterSpecification(6, clearance=0.030, free_share=0.20),
-    "medium": ClutterSpecification(12, clearance=0.020, free_share=0.05),
-    "hard": ClutterSpecification(16, clearance=0.010, free_share=0.02),
+    "easy": ClutterSpecification(6, clearance=0.030, free_share=0.25),
+    "medium": ClutterSpecification(12, clearance=0.020, free_share=0.10),
+    "hard": ClutterSpecification(16, clearance=0.010, free_share=0.05),
 }
 
 HALF_EXTENTS = (0.015, 0.06)
@@ -71,7 +71,9 @@ _APART = 0.002
 """Least distance between solids that do not stand on one another, m."""
 
 _WORTH_OF_MEAN = 30.0
-"""As many members as blocking the mean of the demonstrations is worth; it must be blocked."""
+_MEAN_SHARE = 0.3
+"""As many members as blocking the mean of the demonstrations is worth, and share of what is drawn
+that is near it while it is free."""
 
 _FAMILIES = 3
 _WITNESSES = 4
@@ -132,8 +134,12 @@ def _near_hand(
     """Return (C, 3) m, places of the hand on members (N,) of a family."""
     pool = np.flatnonzero(which if which.any() else family.free)
     hand = np.flatnonzero(query.transfer.spheres.link[query.transfer.swept] >= _HAND_LINK)
+    chosen = pool[rng.integers(len(pool), size=_CANDIDATES)]
+    if which[0]:
+        # The mean must be blocked.
+        chosen[rng.uniform(size=_CANDIDATES) < _MEAN_SHARE] = 0
     return family.paths[
-        pool[rng.integers(len(pool), size=_CANDIDATES)],
+        chosen,
         rng.integers(query.transfer.samples, size=_CANDIDATES),
         hand[rng.integers(len(hand), size=_CANDIDATES)],
     ]

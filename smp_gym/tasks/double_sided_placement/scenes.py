@@ -46,11 +46,11 @@ its centre over the pad."""
 _PROPOSALS = 168
 """To each pad: two goals are two chances to get through, so each has to be blocked more surely."""
 
-_CLUTTER_FREE_SHARES = {"easy": 0.35, "medium": 0.2, "hard": 0.05}
+_CLUTTER_FREE_SHARES = {"easy": 0.5, "medium": 0.3, "hard": 0.15}
 """Share of the proposals for each pad that half of the clutter may leave free."""
 
-_SIDE_DRAWS = 6
-"""Number of families tried on the second of two furnished sides."""
+_SIDE_DRAWS = 3
+"""How often the second of two furnished or cluttered sides is tried."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -159,7 +159,13 @@ def _clutter(difficulty: str, rng: np.random.Generator) -> Draw | None:
         free_share=_CLUTTER_FREE_SHARES[difficulty],
     )
     drawn = clutter(first, half, rng)
-    return None if drawn is None else clutter(second, half, rng, drawn)
+    if drawn is None:
+        return None
+    for _ in range(_SIDE_DRAWS):
+        both = clutter(second, half, rng, drawn)
+        if both is not None:
+            return both
+    return None
 
 
 SAMPLER = SceneSampler(
