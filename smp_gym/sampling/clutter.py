@@ -225,7 +225,7 @@ def clutter(
             if not is_witness(transfer, witness, bodies, others, clearance):
                 continue
             rows = _fill(query, family, [witness, *earlier], others, specification, rng)
-            if rows is None:
+            if rows is None or len(np.unique(rows[:, 0])) == 1:
                 continue
             together = np.concatenate([others, rows])
             free = family.free & ~family.blocked(together).any(axis=0)
