@@ -1,11 +1,13 @@
-"""Pieces of furniture, made of boxes and cylinders: shelf, box, cage, table with objects.
+"""Pieces of furniture, made of boxes and cylinders: shelf, box, cage, desk with objects on it.
 
 The kinds are those of the scenes of MotionBenchMaker (Chamzas et al. 2022), built to the size of
-this arm. Shelf, box and cage stand around a goal and open towards the robot, the box upwards; the
-table stands between start and goal. All lengths are metres.
+this arm. Every piece stands around a goal and leaves one opening for the hand: between the stiles
+of a shelf, the flaps of a box, the front posts of a cage, the pedestals of a desk. How wide the
+opening is and how high it must be, a `Passage` says. All lengths are metres.
 
-A piece is built in its own frame, which stands on the table top with x pointing away from the robot
-and z up, and is then turned about the vertical and moved to its place.
+A piece is built in the frame of its goal, with its origin on the table top below the goal, x
+pointing away from the robot and z up; it is then turned a little about the middle of its opening
+and moved to its place.
 """
 
 from __future__ import annotations
@@ -15,66 +17,113 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smp_gym.arrays import FloatArray
 from smp_gym.scene import Obstacle
 
-__all__ = ["FURNITURE", "Place", "draw_furniture"]
+__all__ = ["FURNITURE", "Passage", "draw_furniture"]
 
-_PANEL = 0.01
-"""Half thickness of panels and boards."""
+_PANEL = (0.010, 0.016)
+"""Thickness of panels and boards."""
 
-_TURN = 0.25
+_SETBACK = (0.02, 0.06)
+"""How far a piece stands off the goal's body and the open hand, on each side."""
+
+_STILE_DEPTH = 0.02
+_UPPER_COMPARTMENT = (0.14, 0.22)
+"""Of a shelf: depth of the stiles beside its opening, height of the compartment over the goal's."""
+
+_LID = (0.01, 0.03)
+_FLAP = (0.85, 1.0)
+_LEAST_RIM = 0.03
+"""Of a box: how high its lid lies above the fingers that open, how high
+the flaps on it reach, as a share of how high hand and object rise out of them, and the lowest front
+wall that is worth its while."""
+
+_POST_RADIUS = (0.010, 0.016)
+_BAR_HEIGHT = (0.14, 0.28)
+"""Of a cage: radius of its posts and half width of its bars, and how high the bars on its sides lie
+above the goal."""
+
+_PEDESTAL_DEPTH = (0.03, 0.05)
+_LEG_RADIUS = 0.012
+_OBJECTS = 3
+_OBJECT_HALF_WIDTH = (0.02, 0.04)
+_OBJECT_HALF_HEIGHT = (0.04, 0.10)
+"""Of a desk: its pedestals and legs, number and size of the objects on it."""
+
+_LARGEST_TURN = 0.15
 """Largest turn of a piece about the vertical, from facing the robot, rad."""
 
-_SHELF_FRONT = (-0.22, -0.08)
-_SHELF_HALF_WIDTH = (0.11, 0.17)
-_SHELF_BACK = (0.14, 0.20)
-_COMPARTMENT = (0.35, 0.43)
-_UPPER_COMPARTMENT = (0.14, 0.24)
-"""Front edge, half width and back of a shelf as seen from the goal, height of its compartment above
-the goal and of the one over it."""
 
-_BOX_FRONT = (0.11, 0.17)
-_BOX_HALF_WIDTH = (0.11, 0.16)
-_BOX_RIM = (0.36, 0.56)
-_BOX_FRONT_RIM = (0.02, 0.12)
-"""Distances of a box's walls from the goal, and how high they rise above it; the front wall, over
-which the hand reaches in, is lower."""
-
-_CAGE_FRONT = (-0.22, -0.10)
-_CAGE_HALF_WIDTH = (0.12, 0.18)
-_CAGE_BACK = (0.14, 0.20)
-_CAGE_HEIGHT = (0.36, 0.48)
-_POST_RADIUS = (0.010, 0.018)
-_BAR_HEIGHT = (0.14, 0.28)
-"""Of a cage: where its posts stand as seen from the goal, how high its top and the bars on its
-sides lie above the goal, and how thick posts and bars are (radius, half width)."""
-
-_TABLE_BEARING = (0.35, 0.65)
-_TABLE_RADIUS = (0.42, 0.56)
-_TABLE_HALF_DEPTH = (0.09, 0.15)
-_TABLE_HALF_WIDTH = (0.07, 0.13)
-_TABLE_TOP = (0.10, 0.20)
-_OBJECTS = 5
-_OBJECT_HALF_WIDTH = (0.02, 0.05)
-_OBJECT_HALF_HEIGHT = (0.08, 0.20)
-"""Of a table: its place (share of the turn from start to goal, distance from the base's axis), size
-and height; number and size of the objects on it."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """The surroundings that a piece of furniture is fitted to.
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """The last part of a movement to a goal, to which a piece of furniture is fitted.
 
     Attributes:
-        goal: the surface on which the object shall end.
-        start: the object's centre at the start.
+        goal: the surface on which the object shall end, base frame.
+        half: half width of the goal's body along the axes of the goal's frame.
+        centers: (K, 3), spheres that arm, hand and object sweep, in the goal's frame.
+        radius: (K,) of these.
+        bottom: height of the lowest point of hand and object at the release.
+        reach: x of their farthest point there.
+        spread: half width of the hand once it has opened.
+        inside: height of the highest point of its fingers then.
+        rise: how much higher that is at the begin of the movement.
+        middle: y of the middle of the hand at the release.
+        opening: free width of the opening.
+        headroom: what the piece leaves above and below the spheres.
+        slack: by how much the opening may be used up by a turn, on each side.
+        side: 1 if the movement comes from where y is positive, else -1.
     """
 
     goal: tuple[float, float, float]
-    start: tuple[float, float, float]
+    half: float
+    centers: FloatArray
+    radius: FloatArray
+    bottom: float
+    reach: float
+    spread: float
+    inside: float
+    rise: float
+    middle: float
+    opening: float
+    headroom: float
+    slack: float
+    side: int
+
+    def _between(self, front: float, back: float) -> FloatArray:
+        x = self.centers[:, 0]
+        return (x + self.radius > front) & (x - self.radius < back)
+
+    def ceiling(self, front: float, back: float) -> float:
+        """Return the lowest height of something above the spheres between two x."""
+        here = self._between(front, back)
+        return float((self.centers[here, 2] + self.radius[here]).max()) + self.headroom
+
+    def sill(self, front: float, back: float) -> float:
+        """Return the greatest height of something below the spheres between two x."""
+        here = self._between(front, back)
+        return float((self.centers[here, 2] - self.radius[here]).min()) - self.headroom
 
 
-def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Obstacle:
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A piece of furniture in the frame of its goal.
+
+    Attributes:
+        parts: of it.
+        front, back: x of the begin and the end of its opening.
+    """
+
+    parts: list[Obstacle]
+    front: float
+    back: float
+
+
+def _box(x: Range, y: Range, z: Range) -> Obstacle:
     """Return the box between these coordinates."""
     middles = [(low + high) / 2 for low, high in (x, y, z)]
     halves = [(high - low) / 2 for low, high in (x, y, z)]
@@ -90,141 +139,180 @@ def _standing_cylinder(x: float, y: float, radius: float, bottom: float, top: fl
     return Obstacle(shape="cylinder", position=(x, y, bottom + half), size=(radius, radius, half))
 
 
-def _bar(x: tuple[float, float], y: tuple[float, float], height: float, half: float) -> Obstacle:
-    """Return a level bar between two points."""
-    return _box(
-        (x[0] - half, x[1] + half), (y[0] - half, y[1] + half), (height - half, height + half)
+def _bar(begin: Range, end: Range, height: float, half: float) -> Obstacle:
+    """Return a level bar from one point (x, y) to another."""
+    x, y = end[0] - begin[0], end[1] - begin[1]
+    turn = float(np.arctan2(y, x)) / 2
+    return Obstacle(
+        shape="box",
+        position=((begin[0] + end[0]) / 2, (begin[1] + end[1]) / 2, height),
+        quaternion=(0.0, 0.0, float(np.sin(turn)), float(np.cos(turn))),
+        size=(float(np.hypot(x, y)) / 2, half, half),
     )
 
 
-def _shelf(place: Place, rng: np.random.Generator) -> list[Obstacle]:
-    """Return side panels, back, two boards and a can on the lower of these."""
-    floor = place.goal[2]
-    front, back = rng.uniform(*_SHELF_FRONT), rng.uniform(*_SHELF_BACK)
-    half = rng.uniform(*_SHELF_HALF_WIDTH)
-    board = floor + rng.uniform(*_COMPARTMENT)
-    top = board + rng.uniform(*_UPPER_COMPARTMENT)
-    thick = 2 * _PANEL
+def _mirrored(passage: Passage, low: float, high: float) -> tuple[Range, Range]:
+    """Return the ranges of y at these distances from the opening's middle, right and left of it."""
+    return (passage.middle - high, passage.middle - low), (
+        passage.middle + low,
+        passage.middle + high,
+    )
+
+
+def _extent(passage: Passage, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Return front, back and half width of a piece around the goal's body."""
+    least = np.array([passage.half, passage.half, max(passage.half, passage.spread)])
+    front, back, half = (least + rng.uniform(*_SETBACK, size=3)).tolist()
+    return -front, back, half
+
+
+def _shelf(passage: Passage, rng: np.random.Generator) -> _Piece:
+    """Return stiles, side panels, back, two boards and a can on the lower of these."""
+    front, back, half = _extent(passage, rng)
+    thick = rng.uniform(*_PANEL)
+    board = passage.ceiling(front - _STILE_DEPTH, back)
+    top = board + thick + rng.uniform(*_UPPER_COMPARTMENT)
     radius, height = rng.uniform(0.02, 0.04), rng.uniform(0.08, 0.12)
-    x = rng.uniform(front + radius, back - radius)
-    y = rng.uniform(-half + radius, half - radius)
-    return [
-        _box((front, back), (half, half + thick), (0.0, top)),
-        _box((front, back), (-half - thick, -half), (0.0, top)),
-        _box((back, back + thick), (-half, half), (0.0, top)),
-        _box((front, back), (-half, half), (board, board + thick)),
-        _box((front, back), (-half, half), (top - thick, top)),
-        _standing_cylinder(x, y, radius, board + thick, board + thick + height),
+    x, y = rng.uniform(front + radius, back - radius), rng.uniform(radius - half, half - radius)
+    right, left = _mirrored(passage, half, half + thick)
+    inner = right[1], left[0]
+    parts = [
+        *(
+            _box((front - _STILE_DEPTH, front), y, (0.0, board))
+            for y in _mirrored(passage, passage.opening / 2, half + thick)
+        ),
+        _box((front, back), right, (0.0, top)),
+        _box((front, back), left, (0.0, top)),
+        _box((back, back + thick), (right[0], left[1]), (0.0, top)),
+        _box((front - _STILE_DEPTH, back), inner, (board, board + thick)),
+        _box((front, back), inner, (top - thick, top)),
+        _standing_cylinder(x, y + passage.middle, radius, board + thick, board + thick + height),
     ]
+    return _Piece(parts, front - _STILE_DEPTH, front)
 
 
-def _open_box(place: Place, rng: np.random.Generator) -> list[Obstacle]:
-    """Return four walls, the front one lower."""
-    floor = place.goal[2]
-    front, back = -rng.uniform(*_BOX_FRONT), rng.uniform(*_BOX_FRONT)
-    half = rng.uniform(*_BOX_HALF_WIDTH)
-    rim = floor + rng.uniform(*_BOX_RIM)
-    front_rim = floor + rng.uniform(*_BOX_FRONT_RIM)
-    thick = 2 * _PANEL
-    return [
-        _box((front - thick, back + thick), (half, half + thick), (0.0, rim)),
-        _box((front - thick, back + thick), (-half - thick, -half), (0.0, rim)),
-        _box((back, back + thick), (-half, half), (0.0, rim)),
-        _box((front - thick, front), (-half, half), (0.0, front_rim)),
+def _open_box(passage: Passage, rng: np.random.Generator) -> _Piece:
+    """Return side walls, back, a lower front wall, a lid with a slot, and flaps beside the slot."""
+    front, back, half = _extent(passage, rng)
+    thick = rng.uniform(*_PANEL)
+    lid = passage.inside + rng.uniform(*_LID)
+    rim = min(passage.sill(front - thick, front), lid)
+    right, left = _mirrored(passage, half, half + thick)
+    flaps = _mirrored(passage, passage.opening / 2, passage.opening / 2 + thick)
+    flap = max(passage.bottom + passage.rise * rng.uniform(*_FLAP), lid + 2 * thick)
+    parts = [
+        _box((front, back), right, (0.0, lid)),
+        _box((front, back), left, (0.0, lid)),
+        _box((back, back + thick), (right[0], left[1]), (0.0, lid)),
+        *(
+            _box((front, back + thick), y, (lid, lid + thick))
+            for y in _mirrored(passage, passage.opening / 2, half + thick)
+        ),
+        *(_box((front, back + thick), y, (lid + thick, flap)) for y in flaps),
     ]
+    if rim > _LEAST_RIM:
+        parts.append(_box((front - thick, front), (right[0], left[1]), (0.0, rim)))
+    # Hand and object reach a little beyond the goal's middle.
+    return _Piece(parts, front, passage.reach)
 
 
-def _cage(place: Place, rng: np.random.Generator) -> list[Obstacle]:
+def _cage(passage: Passage, rng: np.random.Generator) -> _Piece:
     """Return four posts, bars on both sides (two of them towards the start), one over the front."""
-    floor = place.goal[2]
-    front, back = rng.uniform(*_CAGE_FRONT), rng.uniform(*_CAGE_BACK)
-    half = rng.uniform(*_CAGE_HALF_WIDTH)
-    top = floor + rng.uniform(*_CAGE_HEIGHT)
+    front, back, half = _extent(passage, rng)
     radius = rng.uniform(*_POST_RADIUS)
-    near, far = floor + rng.uniform(*_BAR_HEIGHT, size=2)
-    side = half if _bearing(place.start) > _bearing(place.goal) else -half
-    posts = [
-        _standing_cylinder(x, y, radius, 0.0, top) for x in (front, back) for y in (-half, half)
-    ]
-    return [
+    narrow = passage.opening / 2 + radius
+    lintel = passage.ceiling(front - radius, front + radius) + radius
+    near, far = passage.goal[2] + rng.uniform(*_BAR_HEIGHT, size=2)
+    corners = {
+        side: ((front, passage.middle + side * narrow), (back, passage.middle + side * half))
+        for side in (-1, 1)
+    }
+    top = lintel + radius
+    posts = [_standing_cylinder(*at, radius, 0.0, top) for ends in corners.values() for at in ends]
+    parts = [
         *posts,
-        _bar((front, back), (side, side), near, radius),
-        _bar((front, back), (side, side), top, radius),
-        _bar((front, back), (-side, -side), far, radius),
-        _bar((front, front), (-half, half), top, radius),
+        _bar(*corners[passage.side], near, radius),
+        _bar(*corners[passage.side], lintel, radius),
+        _bar(*corners[-passage.side], far, radius),
+        _bar(corners[-1][0], corners[1][0], lintel, radius),
     ]
+    return _Piece(parts, front - radius, front + radius)
 
 
-def _table(place: Place, rng: np.random.Generator) -> list[Obstacle]:
-    """Return a board on two panels, with boxes and cylinders on it."""
-    depth, width = rng.uniform(*_TABLE_HALF_DEPTH), rng.uniform(*_TABLE_HALF_WIDTH)
-    top = rng.uniform(*_TABLE_TOP)
-    bottom = top - 2 * _PANEL
-    parts = [_box((-depth, depth), (-width, width), (bottom, top))]
-    for x in (-depth, depth - 2 * _PANEL):
-        parts.append(_box((x, x + 2 * _PANEL), (-width, width), (0.0, bottom)))
-    for _ in range(_OBJECTS):
-        half = rng.uniform(*_OBJECT_HALF_WIDTH)
+def _desk(passage: Passage, rng: np.random.Generator) -> _Piece:
+    """Return a board on two pedestals in front and two legs behind, with objects on it."""
+    front, back, half = _extent(passage, rng)
+    depth, thick = rng.uniform(*_PEDESTAL_DEPTH), rng.uniform(*_PANEL)
+    bottom = passage.ceiling(front - depth, back)
+    top = bottom + thick
+    (right, left), y = _mirrored(passage, passage.opening / 2, half), passage.middle
+    parts = [
+        _box((front - depth, back), (right[0], left[1]), (bottom, top)),
+        _box((front - depth, front), right, (0.0, bottom)),
+        _box((front - depth, front), left, (0.0, bottom)),
+        *(
+            _standing_cylinder(back - _LEG_RADIUS, at, _LEG_RADIUS, 0.0, bottom)
+            for at in (right[0] + _LEG_RADIUS, left[1] - _LEG_RADIUS)
+        ),
+    ]
+    # Side by side: each has its share of the width to stand on.
+    share = 2 * half / _OBJECTS
+    for number in range(_OBJECTS):
+        width = min(rng.uniform(*_OBJECT_HALF_WIDTH), share / 2)
         high = top + 2 * rng.uniform(*_OBJECT_HALF_HEIGHT)
-        x, y = rng.uniform(half - depth, depth - half), rng.uniform(half - width, width - half)
+        first = y - half + number * share
+        u = rng.uniform(front - depth + width, back - width)
+        v = rng.uniform(first + width, first + share - width)
         if rng.uniform() < 0.5:
-            parts.append(_standing_cylinder(x, y, half, top, high))
+            parts.append(_standing_cylinder(u, v, width, top, high))
         else:
-            parts.append(_box((x - half, x + half), (y - half, y + half), (top, high)))
-    return parts
+            parts.append(_box((u - width, u + width), (v - width, v + width), (top, high)))
+    return _Piece(parts, front - depth, front)
 
 
-def _bearing(point: tuple[float, float, float]) -> float:
-    return float(np.arctan2(point[1], point[0]))
-
-
-def _around_goal(place: Place, rng: np.random.Generator) -> tuple[float, float, float]:
-    x, y, _ = place.goal
-    return x, y, _bearing(place.goal) + rng.uniform(-_TURN, _TURN)
-
-
-def _between(place: Place, rng: np.random.Generator) -> tuple[float, float, float]:
-    begin, end = _bearing(place.start), _bearing(place.goal)
-    bearing = begin + rng.uniform(*_TABLE_BEARING) * (end - begin)
-    radius = rng.uniform(*_TABLE_RADIUS)
-    turn = bearing + rng.uniform(-_TURN, _TURN)
-    return float(radius * np.cos(bearing)), float(radius * np.sin(bearing)), turn
-
-
-_Build = Callable[[Place, np.random.Generator], list[Obstacle]]
-_Put = Callable[[Place, np.random.Generator], tuple[float, float, float]]
-
-_BUILDERS: dict[str, tuple[_Build, _Put]] = {
-    "shelf": (_shelf, _around_goal),
-    "box": (_open_box, _around_goal),
-    "cage": (_cage, _around_goal),
-    "table": (_table, _between),
+_BUILDERS: dict[str, Callable[[Passage, np.random.Generator], _Piece]] = {
+    "shelf": _shelf,
+    "box": _open_box,
+    "cage": _cage,
+    "table": _desk,
 }
 
 FURNITURE = tuple(_BUILDERS)
 """Kinds of furniture."""
 
 
-def draw_furniture(kind: str, place: Place, rng: np.random.Generator) -> tuple[Obstacle, ...]:
-    """Return a piece of furniture of random size, at a random turn, near its place.
+def draw_furniture(kind: str, passage: Passage, rng: np.random.Generator) -> tuple[Obstacle, ...]:
+    """Return a piece of furniture of random size, at a random turn, around a goal.
 
-    Nothing is known here of the robot: collisions of the piece with it or with the goal's own body
-    are for the caller to find.
+    It is fitted to the middle of what moves: collisions that its turn brings are for the caller to
+    find.
 
     Args:
         kind: one of `FURNITURE`.
-        place: what it is built for.
+        passage: what it is built for.
         rng: source of all randomness.
     """
-    build, put = _BUILDERS[kind]
-    parts = build(place, rng)
-    x, y, turn = put(place, rng)
-    c, s = float(np.cos(turn)), float(np.sin(turn))
-    half = turn / 2
-    quaternion = (0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+    piece = _BUILDERS[kind](passage, rng)
+    # The longer the opening, the less of a turn does it bear.
+    pivot = (piece.front + piece.back) / 2
+    limit = min(_LARGEST_TURN, 2 * passage.slack / (piece.back - piece.front))
+    turn = rng.uniform(-limit, limit)
+    x, y, _ = passage.goal
+    bearing = float(np.arctan2(y, x))
+    c, s = float(np.cos(bearing)), float(np.sin(bearing))
+    a, b = float(np.cos(turn)), float(np.sin(turn))
     placed = []
-    for part in parts:
-        u, v, z = part.position
-        position = (x + c * u - s * v, y + s * u + c * v, z)
-        placed.append(part.model_copy(update={"position": position, "quaternion": quaternion}))
+    for part in piece.parts:
+        u, v = part.position[0] - pivot, part.position[1] - passage.middle
+        u, v = pivot + a * u - b * v, passage.middle + b * u + a * v
+        _, _, sine, cosine = part.quaternion
+        half = float(np.arctan2(sine, cosine)) + (bearing + turn) / 2
+        placed.append(
+            part.model_copy(
+                update={
+                    "position": (x + c * u - s * v, y + s * u + c * v, part.position[2]),
+                    "quaternion": (0.0, 0.0, float(np.sin(half)), float(np.cos(half))),
+                }
+            )
+        )
     return tuple(placed)

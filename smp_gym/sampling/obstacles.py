@@ -23,6 +23,7 @@ __all__ = [
     "START_CLEARANCE",
     "draw_candidates",
     "draw_rows",
+    "fits",
     "vary",
 ]
 
@@ -62,7 +63,7 @@ def draw_candidates(
     hand = np.flatnonzero(transfer.spheres.link[transfer.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     rows = draw_bodies(family.paths[member, sample, sphere], family.radius[sphere], rng)
-    return rows[_fits(query, rows)]
+    return rows[fits(query, rows)]
 
 
 def draw_rows(
@@ -92,7 +93,7 @@ def draw_rows(
 def vary(query: Query, rows: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return rows of obstacles that resemble the given ones, but are shifted, turned and wider."""
     children = vary_bodies(rows, _CHILDREN, rng)
-    return children[_fits(query, children)]
+    return children[fits(query, children)]
 
 
 def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
@@ -103,7 +104,7 @@ def _sizes(shape: NDArray[Any], size: FloatArray) -> FloatArray:
     return size
 
 
-def _fits(query: Query, rows: FloatArray) -> BoolArray:
+def fits(query: Query, rows: FloatArray) -> BoolArray:
     """Return a mask (C,) of obstacles clear of base, table, goals and start."""
     fits: BoolArray = np.hypot(rows[:, 1], rows[:, 2]) >= BASE_DISTANCE
     fits &= rows[:, 3] >= rows[:, 8]

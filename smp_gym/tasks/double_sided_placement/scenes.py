@@ -11,6 +11,7 @@ from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.conversion import to_row
 from smp_gym.sampling.displaced import displaced
 from smp_gym.sampling.draws import Draw, SceneSampler
@@ -47,8 +48,11 @@ its centre over the pad."""
 _PROPOSALS = 168
 """To each pad: two goals are two chances to get through, so each has to be blocked more surely."""
 
-_SIDE_DRAWS = 6
-"""Number of families tried on the second of two furnished sides."""
+_CLUTTER_FREE_SHARES = {"easy": 0.5, "medium": 0.3, "hard": 0.15}
+"""Share of the proposals for each pad that half of the clutter may leave free."""
+
+_SIDE_DRAWS = 3
+"""How often the second of two furnished or cluttered sides is tried."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -138,11 +142,29 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
 def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw furniture on both sides, both with a witness; the scene's is that of the first."""
     first, second = _draw_queries(rng)
-    drawn = furnish(kind, first, rng)
+    drawn = furnish(kind, difficulty, first, rng)
     if drawn is None:
         return None
     for _ in range(_SIDE_DRAWS):
-        both = furnish(kind, second, rng, drawn)
+        both = furnish(kind, difficulty, second, rng, drawn)
+        if both is not None:
+            return both
+    return None
+
+
+def _clutter(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    """Draw half of the clutter on each side, both with a witness; the scene's is the first's."""
+    first, second = _draw_queries(rng)
+    half = replace(
+        CLUTTER[difficulty],
+        solids=CLUTTER[difficulty].solids // 2,
+        free_share=_CLUTTER_FREE_SHARES[difficulty],
+    )
+    drawn = clutter(first, half, rng)
+    if drawn is None:
+        return None
+    for _ in range(_SIDE_DRAWS):
+        both = clutter(second, half, rng, drawn)
         if both is not None:
             return both
     return None
@@ -172,9 +194,6 @@ def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
 SAMPLER = SceneSampler(
     _draw,
     _place,
-    {
-        **{kind: functools.partial(_furnish, kind) for kind in FURNITURE},
-        "moving": _move,
-        "displaced": _displace,
-    },
+    families={kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    | {"clutter": _clutter, "moving": _move, "displaced": _displace},
 )

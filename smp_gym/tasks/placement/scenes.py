@@ -8,6 +8,7 @@ import numpy as np
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling.blocking import block, block_around_witness
+from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.displaced import displaced
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
@@ -55,7 +56,11 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
 
 
 def _furnish(kind: str, difficulty: str, rng: np.random.Generator) -> Draw | None:
-    return furnish(kind, _draw_query(rng), rng)
+    return furnish(kind, difficulty, _draw_query(rng), rng)
+
+
+def _clutter(difficulty: str, rng: np.random.Generator) -> Draw | None:
+    return clutter(_draw_query(rng), CLUTTER[difficulty], rng)
 
 
 def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
@@ -71,9 +76,6 @@ def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
 SAMPLER = SceneSampler(
     _draw,
     _place,
-    {
-        **{kind: functools.partial(_furnish, kind) for kind in FURNITURE},
-        "moving": _move,
-        "displaced": _displace,
-    },
+    families={kind: functools.partial(_furnish, kind) for kind in FURNITURE}
+    | {"clutter": _clutter, "moving": _move, "displaced": _displace},
 )
