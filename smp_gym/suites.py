@@ -15,14 +15,12 @@ from itertools import product
 from types import MappingProxyType
 from typing import Any
 
+from smp_gym.observation import SENSINGS
 from smp_gym.sampling import CROWDED, sample_scene
 from smp_gym.scene import DIFFICULTIES, FAMILIES, Scene
 from smp_gym.tasks.registry import task_families, task_names
 
-__all__ = ["SENSINGS", "SUITES", "Cell", "home_suite", "suite_cells"]
-
-SENSINGS = ("exact", "noise", "depth")
-"""What observations may say of obstacles: the truth, noisy rows, or a depth camera's points."""
+__all__ = ["SUITES", "Cell", "home_suite", "suite_cells"]
 
 _FURNITURE = ("shelf", "box", "cage", "table")
 _NOISES = (0.01, 0.02, 0.03)
@@ -41,7 +39,7 @@ class Cell:
         task: name of the task, one of `smp_gym.tasks.registry.task_names`.
         difficulty: one of `smp_gym.scene.DIFFICULTIES`; "none" in the family "obstacles" only.
         family: one of `smp_gym.tasks.registry.task_families`.
-        sensing: one of `SENSINGS`.
+        sensing: one of `smp_gym.observation.SENSINGS`.
         noise: standard deviation of perceived positions, m; positive with the sensing "noise", 0
             with any other.
 
@@ -89,9 +87,11 @@ class Cell:
 
     def make_arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `gymnasium.make` beside the environment id."""
-        arguments: dict[str, Any] = {"difficulty": self.difficulty, "family": self.family}
-        if self.sensing != SENSINGS[0]:
-            arguments["sensing"] = self.sensing
+        arguments: dict[str, Any] = {
+            "difficulty": self.difficulty,
+            "family": self.family,
+            "sensing": self.sensing,
+        }
         if self.sensing == "noise":
             arguments["noise"] = self.noise
         return arguments

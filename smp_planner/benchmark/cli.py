@@ -78,6 +78,7 @@ def _fail(message: str, code: int) -> typer.Exit:
 @app.command("list")
 def list_command() -> None:
     """List the suites, tasks, methods, difficulties and families that `run` accepts."""
+    from smp_gym.observation import SENSINGS
     from smp_gym.scene import (
         DIFFICULTIES,
         EVALUATION_RANGE_START,
@@ -85,7 +86,7 @@ def list_command() -> None:
         FAMILIES,
         TASKS,
     )
-    from smp_gym.suites import SENSINGS, SUITES
+    from smp_gym.suites import SUITES
     from smp_planner.planners.registry import installed_methods, known_methods
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import load_episodes
-from smp_gym.observation import DecodedObservation, decode
+from smp_gym.observation import SENSINGS, DecodedObservation, decode
 from smp_gym.registration import environment_id
 from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
-from smp_gym.suites import SENSINGS, Cell
+from smp_gym.suites import Cell
 from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
 

@@ -47,7 +47,7 @@ def test_what_is_sensed_otherwise_has_the_scenes_of_the_exact_cell():
     assert home_suite(Cell("Placement", "none")) is None
 
 
-@pytest.mark.parametrize("name", ["standard", "tight"])
+@pytest.mark.parametrize("name", SUITES)
 def test_an_environment_of_a_cell_draws_the_scenes_of_the_cell(name):
     for cell in SUITES[name][:1]:
         env = gymnasium.make(environment_id(cell.task), **cell.make_arguments())
