@@ -1,15 +1,17 @@
 """Frozen episode lists: the episodes that methods are compared on, stored as scenes.
 
-The list of a task and a difficulty is a gzipped text file of the packaged data: a header and then
-one episode a line, all JSON. Half of the episodes were sampled around a witness (see
-`smp_gym.sampling`), half were placed without one and certified by a planner; they alternate,
-so that the first 2 n episodes hold n of each.
+The list of a cell of a suite (`smp_gym.suites`) is a gzipped text file: a header and then one
+episode a line, all JSON. Where a task can place scenes without a feasible reference trajectory
+(witness), half of the episodes were sampled around one and half placed without; they alternate, so
+that the first 2 n episodes hold n of each. All were certified: some solver has solved them in the
+physics. Those that none has solved follow in the same file, as a list of their own.
 """
 
 from __future__ import annotations
 
 import gzip
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,22 +22,25 @@ import gymnasium
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import Scene
+from smp_gym.suites import SUITES, Cell, home_suite
 
 __all__ = [
     "HALVES",
     "FrozenEpisode",
     "FrozenEpisodes",
     "frozen_lists",
+    "list_path",
     "load_episodes",
+    "load_unknown",
     "read_header",
     "write_episodes",
 ]
 
-HALVES = ("witness", "certified")
-"""Halves of a list: episodes sampled around a witness, or placed without one and certified."""
+HALVES = ("witness", "placed")
+"""Halves of a list: episodes sampled around a witness, or placed without one."""
 
 _FORMAT = "smp_gym.episodes"
-_FORMAT_VERSION = 1
+_FORMAT_VERSION = 2
 _FOLDER = "benchmark"
 _SUFFIX = ".jsonl.gz"
 
@@ -48,102 +53,170 @@ class FrozenEpisode:
         half: one of `HALVES`.
         seed: from which the scene was drawn in its half; names the episode there.
         scene: what is played.
+        solver: the first that solved it in the physics; empty if none did.
     """
 
     half: str
     seed: int
     scene: Scene
+    solver: str = ""
 
     def __post_init__(self) -> None:
         if self.half not in HALVES:
             raise ValueError(f"half must be one of {', '.join(HALVES)}; got {self.half!r}")
 
 
-def frozen_lists() -> tuple[tuple[str, str], ...]:
-    """Return task and difficulty of every list there is."""
-    files = asset_path(_FOLDER).glob(f"*{_SUFFIX}")
-    names = [path.name.removesuffix(_SUFFIX).rpartition("_") for path in files]
-    return tuple(sorted((task, difficulty) for task, _, difficulty in names))
+def _folder(folder: Path | None) -> Path:
+    return asset_path(_FOLDER) if folder is None else folder
 
 
-def _path(task: str, difficulty: str) -> Path:
-    path = asset_path(_FOLDER, f"{task}_{difficulty}{_SUFFIX}")
-    if (task, difficulty) not in frozen_lists():
-        there = ", ".join(" ".join(names) for names in frozen_lists())
+def list_path(cell: Cell, folder: Path | None = None) -> Path:
+    """Return where the list of a cell is, or would be: ``FOLDER/SUITE/CELL.jsonl.gz``.
+
+    Cells that differ in their sensing alone have one list.
+
+    Args:
+        cell: of a suite.
+        folder: of the lists; by default that of the package.
+
+    Raises:
+        ValueError: no suite holds the cell.
+    """
+    suite = home_suite(cell)
+    if suite is None:
         raise ValueError(
-            f"there is no frozen list of task {task!r} and difficulty {difficulty!r}; there are: "
-            f"{there or 'none'}"
+            f"there is no frozen list of {cell.name}: no suite holds it; suites are: "
+            f"{', '.join(SUITES)}"
         )
-    return path
+    return _folder(folder) / suite / f"{cell.unsensed.name}{_SUFFIX}"
 
 
-def _read(path: Path) -> tuple[dict[str, Any], list[str]]:
+def frozen_lists(folder: Path | None = None) -> tuple[Cell, ...]:
+    """Return the cells whose lists there are, sensed exactly.
+
+    Args:
+        folder: of the lists; by default that of the package.
+    """
+    held = (cell for cells in SUITES.values() for cell in cells if cell == cell.unsensed)
+    return tuple(cell for cell in held if list_path(cell, folder).is_file())
+
+
+def _read(cell: Cell, folder: Path | None) -> tuple[Path, dict[str, Any], list[str]]:
+    path = list_path(cell, folder)
+    if not path.is_file():
+        there = ", ".join(each.name for each in frozen_lists(folder))
+        raise ValueError(
+            f"there is no frozen list of {cell.name}, no file {path}; there are: {there or 'none'}"
+        )
     try:
         header, *lines = gzip.decompress(path.read_bytes()).decode("utf-8").splitlines()
         content = dict(json.loads(header))
-        if (content["format"], content["version"]) != (_FORMAT, _FORMAT_VERSION):
-            raise ValueError(f"format must be {_FORMAT} {_FORMAT_VERSION}, got {header[:80]}")
-        if content["episodes"] != len(lines):
-            raise ValueError(f"{content['episodes']} episodes announced, {len(lines)} there")
+        found = (content["format"], content["version"])
+        if found != (_FORMAT, _FORMAT_VERSION):
+            raise ValueError(
+                f"its format is {found[0]} {found[1]}, allowed is {_FORMAT} {_FORMAT_VERSION}; "
+                "scripts/make_benchmark.py makes lists"
+            )
+        announced = content["episodes"], content["unknown"]
+        if sum(announced) != len(lines):
+            raise ValueError(
+                f"{announced[0]} episodes and {announced[1]} unknown announced, {len(lines)} there"
+            )
     except (OSError, EOFError, ValueError, TypeError, KeyError) as error:
         raise ValueError(f"{path} is not a list of episodes: {error}") from error
-    return content, lines
+    return path, content, lines
 
 
-def read_header(task: str, difficulty: str) -> dict[str, Any]:
-    """Return the header of a list: how it was made, and with which versions.
-
-    Raises:
-        ValueError: there is no such list, or it is damaged.
-    """
-    return _read(_path(task, difficulty))[0]
-
-
-@lru_cache(maxsize=16)
-def load_episodes(task: str, difficulty: str) -> tuple[FrozenEpisode, ...]:
-    """Return the list of a task and a difficulty.
+def read_header(cell: Cell, folder: Path | None = None) -> dict[str, Any]:
+    """Return the header of a cell's list: how it was made, and with which versions.
 
     Raises:
-        ValueError: there is no such list, or it is damaged.
+        ValueError: there is no such list, or it is damaged or of an older format.
     """
-    path = _path(task, difficulty)
-    _, lines = _read(path)
+    return _read(cell, folder)[1]
+
+
+@lru_cache(maxsize=64)
+def _load(cell: Cell, folder: Path | None) -> tuple[tuple[FrozenEpisode, ...], int]:
+    path, header, lines = _read(cell, folder)
+    identity = (cell.task, cell.difficulty, cell.family)
+    kept = header["episodes"]
     episodes = []
-    for number, line in enumerate(lines, start=2):
+    for number, line in enumerate(lines):
         try:
             entry = json.loads(line)
             scene = Scene.model_validate(entry["scene"])
-            if (scene.task, scene.difficulty) != (task, difficulty):
-                raise ValueError(f"scene of {scene.task}, {scene.difficulty}")
-            episodes.append(FrozenEpisode(entry["half"], int(entry["seed"]), scene))
+            if (scene.task, scene.difficulty, scene.family) != identity:
+                raise ValueError(f"scene of {scene.task}, {scene.difficulty}, {scene.family}")
+            episode = FrozenEpisode(entry["half"], int(entry["seed"]), scene, entry["solver"])
+            if bool(episode.solver) != (number < kept):
+                raise ValueError(f"number {number + 1} of {kept}, solved by {episode.solver!r}")
+            episodes.append(episode)
         except (ValueError, TypeError, KeyError) as error:
-            raise ValueError(f"{path}, line {number}, is not an episode: {error}") from error
-    return tuple(episodes)
+            raise ValueError(f"{path}, line {number + 2}, is not an episode: {error}") from error
+    return tuple(episodes), kept
+
+
+def load_episodes(cell: Cell, folder: Path | None = None) -> tuple[FrozenEpisode, ...]:
+    """Return the list of a cell.
+
+    Args:
+        cell: of a suite.
+        folder: of the lists; by default that of the package.
+
+    Raises:
+        ValueError: there is no such list, or it is damaged or of an older format.
+    """
+    episodes, kept = _load(cell, folder)
+    return episodes[:kept]
+
+
+def load_unknown(cell: Cell, folder: Path | None = None) -> tuple[FrozenEpisode, ...]:
+    """Return the episodes that were drawn for a cell's list and that no solver has solved.
+
+    Raises:
+        ValueError: as `load_episodes`.
+    """
+    episodes, kept = _load(cell, folder)
+    return episodes[kept:]
 
 
 def write_episodes(
-    path: Path, header: Mapping[str, Any], episodes: Sequence[FrozenEpisode]
+    path: Path,
+    header: Mapping[str, Any],
+    episodes: Sequence[FrozenEpisode],
+    unknown: Sequence[FrozenEpisode] = (),
 ) -> None:
-    """Write a list; equal content gives equal bytes.
+    """Write a list, whole or not at all; equal content gives equal bytes.
 
     Args:
-        path: of the file.
-        header: how the list was made; format and number of episodes are added.
-        episodes: in the order in which they are played.
+        path: of the file; folders are made if there are none.
+        header: how the list was made; format and numbers of episodes are added.
+        episodes: in the order in which they are played, each with its solver.
+        unknown: episodes without a solver.
     """
     about = {
         "format": _FORMAT,
         "version": _FORMAT_VERSION,
         **header,
         "episodes": len(episodes),
+        "unknown": len(unknown),
     }
     lines = [json.dumps(about, allow_nan=False)]
-    for episode in episodes:
+    for episode in (*episodes, *unknown):
         scene = json.loads(episode.scene.to_json())
-        entry = {"half": episode.half, "seed": episode.seed, "scene": scene}
+        entry = {
+            "half": episode.half,
+            "seed": episode.seed,
+            "solver": episode.solver,
+            "scene": scene,
+        }
         lines.append(json.dumps(entry, separators=(",", ":"), allow_nan=False))
     text = "\n".join(lines) + "\n"
-    path.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
+    os.replace(temporary, path)
 
 
 class FrozenEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):

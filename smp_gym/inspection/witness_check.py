@@ -8,12 +8,14 @@ from typing import Any
 import gymnasium
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.registration import environment_id
 from smp_gym.rollout import play
 from smp_gym.sampling import sample_with_witness
+from smp_gym.scene import Scene
 
-__all__ = ["witness_solves"]
+__all__ = ["trajectory_solves", "witness_solves"]
 
 
 @functools.lru_cache(maxsize=1)
@@ -28,8 +30,18 @@ def _grasp(task: str) -> int | None:
     return None if samples is None else int(samples[1])
 
 
+def trajectory_solves(scene: Scene, trajectory: FloatArray) -> bool:
+    """Return whether a trajectory succeeds in the physics.
+
+    Args:
+        scene: in which it is played.
+        trajectory: (T, 6) rad at equal steps of phase; see `smp_gym.rollout.play`.
+    """
+    played = play(_env(scene.task), scene, trajectory, grasp=_grasp(scene.task))
+    return bool(played["is_success"])
+
+
 def witness_solves(cell: tuple[str, str, int]) -> bool:
     """Return whether the witness of (task, difficulty, seed) succeeds in the physics."""
     task, difficulty, seed = cell
-    scene, witness = sample_with_witness(task, difficulty, seed)
-    return bool(play(_env(task), scene, witness, grasp=_grasp(task))["is_success"])
+    return trajectory_solves(*sample_with_witness(task, difficulty, seed))

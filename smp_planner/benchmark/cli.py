@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,13 +17,14 @@ from rich.table import Table
 from smp_planner.benchmark.options import INTERRUPTED, progress_bar, split_names
 
 if TYPE_CHECKING:
+    from smp_gym.suites import Cell
     from smp_planner.benchmark.episodes import EpisodeRow
     from smp_planner.benchmark.manifest import Manifest
 
 __all__ = ["app"]
 
 _MAP_SCENES = 20
-_FIRST_SEED = 100_000
+_EPISODES = 20
 
 app = typer.Typer(
     name="smp-bench",
@@ -38,15 +40,29 @@ app = typer.Typer(
 )
 
 _Difficulty = Annotated[
-    str, typer.Option(help="How many obstacles on each route: none 0, easy 2, medium 4, hard 6.")
+    str | None,
+    typer.Option(help="Of single cells: none, easy, medium or hard. Default: medium."),
 ]
 
 _Family = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="Of the scenes: obstacles, shelf, box, cage, table, clutter, moving or displaced; "
-        "not every task has all of them."
+        help="Of the scenes of single cells: obstacles, shelf, box, cage, table, clutter, moving "
+        "or displaced; not every task has all of them. Default: obstacles."
     ),
+]
+
+_Sensing = Annotated[
+    str | None,
+    typer.Option(
+        help="What observations of single cells say of obstacles: exact rows, rows with noise, or "
+        "a depth camera's points. Default: exact."
+    ),
+]
+
+_Noise = Annotated[
+    float | None,
+    typer.Option(help="Standard deviation of perceived positions with --sensing noise, m."),
 ]
 
 
@@ -61,8 +77,16 @@ def _fail(message: str, code: int) -> typer.Exit:
 
 @app.command("list")
 def list_command() -> None:
-    """List the tasks, methods, difficulties and families that `run` accepts."""
-    from smp_gym.scene import DIFFICULTIES, EVALUATION_SEEDS_START, FAMILIES, TASKS
+    """List the suites, tasks, methods, difficulties and families that `run` accepts."""
+    from smp_gym.observation import SENSINGS
+    from smp_gym.scene import (
+        DIFFICULTIES,
+        EVALUATION_RANGE_START,
+        EVALUATION_SEEDS_START,
+        FAMILIES,
+        TASKS,
+    )
+    from smp_gym.suites import SUITES
     from smp_planner.planners.registry import installed_methods, known_methods
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
@@ -70,19 +94,41 @@ def list_command() -> None:
     table.add_row("[bold]methods[/]", ", ".join((*known_methods(), *installed_methods())))
     table.add_row("[bold]difficulties[/]", ", ".join(DIFFICULTIES))
     table.add_row("[bold]families[/]", ", ".join(FAMILIES))
+    table.add_row("[bold]sensing[/]", ", ".join(SENSINGS))
     table.add_row(
         "[bold]seeds[/]",
-        f"tuning 0–{EVALUATION_SEEDS_START - 1}, evaluation {EVALUATION_SEEDS_START} and up",
+        f"tuning 0–{EVALUATION_SEEDS_START - 1}, looked at {EVALUATION_SEEDS_START}–"
+        f"{EVALUATION_RANGE_START - 1}, evaluation {EVALUATION_RANGE_START} and up",
     )
+    for name, cells in SUITES.items():
+        named = ", ".join(cell.name for cell in cells) or "no task has its families"
+        table.add_row(f"[bold]suite {name}[/]", named)
     _console().print(table)
 
 
 @app.command()
 def run(
     out: Annotated[Path, typer.Option(help="Folder of the results; made if there is none.")],
+    suite: Annotated[
+        str,
+        typer.Option(
+            help="Play the cells of a suite, from their frozen lists: standard, tight, perception "
+            "or dynamic."
+        ),
+    ] = "",
     tasks: Annotated[
-        str, typer.Option(metavar="NAMES", help="Names of tasks, separated by commas.")
-    ] = "Placement",
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Names of tasks, separated by commas. Default: all of a suite, else Placement.",
+        ),
+    ] = "",
+    cells: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES", help="Names of cells of the suite, separated by commas. Default: all."
+        ),
+    ] = "",
     methods: Annotated[
         str,
         typer.Option(
@@ -90,25 +136,35 @@ def run(
             help="Names of methods, separated by commas; name=module:Class is one of your own.",
         ),
     ] = "smp,promp",
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each task and method.")] = 20,
+    episodes: Annotated[
+        int, typer.Option(min=1, help="Episodes for each cell and method.")
+    ] = _EPISODES,
     seed: Annotated[
         int | None,
         typer.Option(
             min=0,
             help="Seed of the first episode; episode k has seed + k, the same scene for every "
-            "method. Tune on seeds below 100000 only. Default: 100000.",
+            "method. Tune on seeds below 100000 only. With --suite, scenes are then drawn in place "
+            "of the frozen lists. Default: 0.",
         ),
     ] = None,
-    difficulty: _Difficulty = "medium",
-    family: _Family = "obstacles",
+    difficulty: _Difficulty = None,
+    family: _Family = None,
+    sensing: _Sensing = None,
+    noise: _Noise = None,
     frozen: Annotated[
         bool,
         typer.Option(
             "--frozen",
-            help="Play the first episodes of the frozen lists, half of them sampled around a "
-            "witness, half certified by RRT-Connect; the halves are also reported apart.",
+            help="Play the first episodes of the frozen lists of single cells; where half of a "
+            "list is sampled around witnesses and half placed without, the halves are also "
+            "reported apart.",
         ),
     ] = False,
+    lists: Annotated[
+        Path | None,
+        typer.Option(help="Folder of frozen lists. Default: that of the package."),
+    ] = None,
     jobs: Annotated[
         int | None,
         typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
@@ -120,38 +176,47 @@ def run(
         ),
     ] = False,
     figure: Annotated[
-        bool, typer.Option(help="Draw the first episode of each task and method.")
-    ] = True,
+        bool | None,
+        typer.Option(
+            "--figure/--no-figure",
+            help="Draw the first episode of each cell and method. Default: without --suite.",
+        ),
+    ] = None,
     video: Annotated[
-        bool, typer.Option(help="Film the first episode of each task and method.")
-    ] = True,
+        bool | None,
+        typer.Option(
+            "--video/--no-video",
+            help="Film the first episode of each cell and method. Default: without --suite.",
+        ),
+    ] = None,
 ) -> None:
     """Play episodes and write table, figure and video.
 
     Writes into the folder [bold]--out[/bold]: [cyan]episodes.csv[/cyan] (a row per episode),
     [cyan]summary.json[/cyan] (rates with Wilson and means with bootstrap intervals),
-    [cyan]scene_TASK_METHOD.png[/cyan] and [cyan]episode_TASK_METHOD.mp4[/cyan].
+    [cyan]scene_CELL_METHOD.png[/cyan] and [cyan]episode_CELL_METHOD.mp4[/cyan].
 
     Each row is stored as its episode ends. After an interruption the same command continues where
     it stopped; with more --episodes it adds to what is there. A folder of other settings, other
     package versions or other code is refused, unless --restart is given.
 
-    Example: [green]smp-bench run --methods smp,promp --episodes 200 --seed 100000 --out
-    results/medium[/green]
+    Example: [green]smp-bench run --suite tight --methods smp,rrt_connect --episodes 100 --out
+    results/tight[/green]
     """
     from smp_planner.benchmark.results_folder import ResultsError
     from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
     from smp_planner.benchmark.worker_pool import available_cores
 
-    first = seed if seed is not None else 0 if frozen else _FIRST_SEED
+    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
+    chosen = _cells(suite, split_names(tasks), split_names(cells), single)
     manifest = _manifest(
-        split_names(tasks),
+        chosen,
         split_names(methods),
-        difficulty,
-        first,
+        seed or 0,
         episodes,
-        frozen=frozen,
-        family=family,
+        frozen=frozen or (bool(suite) and seed is None),
+        suite=suite,
+        lists=lists,
     )
     workers = jobs or available_cores()
     try:
@@ -164,7 +229,45 @@ def run(
         message = f"interrupted; the episodes so far are kept in {str(out)!r}: the same command "
         raise _fail(message + "continues there", INTERRUPTED) from error
     _finish(manifest, rows, out)
-    _draw(manifest, out, workers, figure, video)
+    drawn = not suite
+    _draw(
+        manifest,
+        out,
+        workers,
+        drawn if figure is None else figure,
+        drawn if video is None else video,
+    )
+
+
+def _cells(
+    suite: str, tasks: Sequence[str], names: Sequence[str], single: Mapping[str, Any]
+) -> tuple[Cell, ...]:
+    """Return the cells of a suite, or one for each task.
+
+    Args:
+        suite: its name; empty for single cells.
+        tasks: names; none for all of a suite, or for Placement.
+        names: of cells of the suite; none for all.
+        single: the fields of single cells that were given, and None for the others.
+    """
+    from smp_gym.suites import Cell, suite_cells
+
+    given = {name: value for name, value in single.items() if value is not None}
+    try:
+        if suite:
+            if given:
+                raise ValueError(
+                    f"--{next(iter(given))} is of single cells, got it with --suite {suite}: "
+                    "choose cells of a suite by --tasks and --cells"
+                )
+            return suite_cells(suite, tasks, names)
+        if names:
+            raise ValueError(f"--cells needs --suite, got --cells {','.join(names)} without")
+        return tuple(
+            Cell(task, **{"difficulty": "medium", **given}) for task in tasks or ("Placement",)
+        )
+    except ValueError as error:
+        raise _fail(str(error), 2) from error
 
 
 def _manifest(*arguments: Any, **options: Any) -> Manifest:
@@ -195,35 +298,41 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
 def _finish(manifest: Manifest, rows: list[EpisodeRow], out: Path) -> None:
     """Write rows and summary, and show the summary."""
     from smp_gym.datasets.frozen import load_episodes
-    from smp_gym.sampling import sample_scene
     from smp_planner.benchmark.map_accuracy import measure_default_map
     from smp_planner.benchmark.results_folder import write_json
-    from smp_planner.benchmark.summary import summarise, table, write_csv
+    from smp_planner.benchmark.summary import summarise, write_csv
 
-    count = min(manifest.episodes, _MAP_SCENES)
-    if manifest.frozen:
-        lists = [load_episodes(task, manifest.difficulty)[:count] for task in manifest.tasks]
-        scenes = [episode.scene for episodes in lists for episode in episodes]
-    else:
-        seeds = range(manifest.seed, manifest.seed + count)
-        scenes = [
-            sample_scene(task, manifest.difficulty, seed, manifest.family)
-            for task in manifest.tasks
-            for seed in seeds
-        ]
+    count = min(manifest.episodes, max(1, _MAP_SCENES // len(manifest.cells)))
+    scenes = []
+    for cell in manifest.cells:
+        if manifest.frozen:
+            episodes = load_episodes(cell, manifest.lists_folder)[:count]
+            scenes += [episode.scene for episode in episodes]
+        else:
+            scenes += [cell.scene(manifest.seed + k) for k in range(count)]
     summary = summarise(manifest, rows, measure_default_map(scenes))
     write_csv(out / "episodes.csv", rows)
     write_json(out / "summary.json", summary)
     console = _console()
-    console.print(table(summary))
+    _show(summary, console)
     for name in ("episodes.csv", "summary.json"):
         console.print(f"wrote {escape(str(out / name))}", soft_wrap=True)
+
+
+def _show(summary: Mapping[str, Any], console: Console) -> None:
+    """Print a table for each cell, and the rates of all of them."""
+    from smp_planner.benchmark.summary import overview, tables
+
+    for shown in tables(summary):
+        console.print(shown)
+    if len(summary["cells"]) > 1:
+        console.print(overview(summary))
 
 
 def _draw(
     manifest: Manifest, out: Path, jobs: int, figure: bool = True, video: bool = True
 ) -> None:
-    """Play the first episode of each task and method again and write its figure and video."""
+    """Play the first episode of each cell and method again and write its figure and video."""
     from smp_planner.benchmark.runner import draw as draw_episodes
 
     with _console(error=True).status("drawing figures and videos"):
@@ -237,10 +346,10 @@ def show(
     folder: Annotated[Path, typer.Argument(help="Folder that `run` wrote, finished or not.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Show the table of a folder of results again."""
+    """Show the tables of a folder of results again."""
     from smp_planner.benchmark.manifest import read_results
     from smp_planner.benchmark.results_folder import ResultsError
-    from smp_planner.benchmark.summary import summarise, table
+    from smp_planner.benchmark.summary import summarise
 
     try:
         manifest, rows = read_results(folder)
@@ -251,7 +360,7 @@ def show(
         typer.echo(json.dumps(summary, indent=2))
         return
     console = _console()
-    console.print(table(summary))
+    _show(summary, console)
     total = len(manifest.episode_keys())
     if len(rows) < total:
         console.print(f"unfinished: {len(rows)} of {total} episodes")
@@ -262,9 +371,11 @@ def draw(
     out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
     method: Annotated[str, typer.Option(help="Name of the method, or name=module:Class.")] = "smp",
-    difficulty: _Difficulty = "medium",
-    family: _Family = "obstacles",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 100_000,
+    difficulty: _Difficulty = None,
+    family: _Family = None,
+    sensing: _Sensing = None,
+    noise: _Noise = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     figure: Annotated[bool, typer.Option(help="Draw scene and particles.")] = True,
     video: Annotated[bool, typer.Option(help="Film the episode.")] = True,
 ) -> None:
@@ -272,5 +383,6 @@ def draw(
 
     Example: [green]smp-bench draw --method smp --seed 7 --out results/seven[/green]
     """
-    manifest = _manifest((task,), (method,), difficulty, seed, 1, family=family)
+    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
+    manifest = _manifest(_cells("", (task,), (), single), (method,), seed, 1)
     _draw(manifest, out, 1, figure, video)

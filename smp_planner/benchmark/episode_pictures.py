@@ -30,7 +30,6 @@ from smp_planner.benchmark.episodes import (
     PlayedEpisode,
     PlayMethods,
     environment_id,
-    kind_of_scene,
     play_episode,
 )
 
@@ -258,13 +257,12 @@ def scene_figure(played: PlayedEpisode, path: Path) -> None:
         frameon=False,
         fontsize=9.5,
     )
-    kind = kind_of_scene(row.difficulty, row.family)
     outcome = "success" if row.success else f"failed: {row.cause}"
-    figure.text(0.02, 0.94, f"{row.task}, {row.method}", fontsize=15, weight="bold")
+    figure.text(0.02, 0.94, f"{row.key.cell.name}, {row.method}", fontsize=15, weight="bold")
     figure.text(
         0.02,
         0.905,
-        f"{kind}, {row.half} seed {row.seed}: {outcome}".replace("  ", " "),
+        f"{row.half} seed {row.seed}: {outcome}".lstrip(),
         fontsize=10,
         color=_DEMONSTRATION,
     )
@@ -294,7 +292,7 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: Path) -> None:
 def draw_episode(
     player: PlayMethods, key: EpisodeKey, folder: Path, figure: bool, video: bool
 ) -> list[Path]:
-    """Play one episode and write ``scene_TASK_METHOD.png`` and ``episode_TASK_METHOD.mp4``.
+    """Play one episode and write ``scene_CELL_METHOD.png`` and ``episode_CELL_METHOD.mp4``.
 
     Args:
         player: that plays the method.
@@ -308,20 +306,19 @@ def draw_episode(
     """
     env = gym.make(
         environment_id(key.task),
-        difficulty=key.difficulty,
-        family=key.family,
+        **key.cell.make_arguments(),
         render_mode="rgb_array" if video else None,
     )
     recorder = FrameRecorder()
     try:
-        played = play_episode(key, env, player.policy(key), (recorder,))
+        played = play_episode(key, env, player.policy(key), (recorder,), player.lists)
     finally:
         env.close()
     written = []
     if figure:
-        written.append(folder / f"scene_{key.task}_{key.method}.png")
+        written.append(folder / f"scene_{key.cell.name}_{key.method}.png")
         scene_figure(played, written[-1])
     if video:
-        written.append(folder / f"episode_{key.task}_{key.method}.mp4")
+        written.append(folder / f"episode_{key.cell.name}_{key.method}.mp4")
         write_video(recorder.frames, written[-1])
     return written

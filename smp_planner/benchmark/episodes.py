@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -14,10 +15,11 @@ from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import load_episodes
-from smp_gym.observation import DecodedObservation, decode
+from smp_gym.observation import SENSINGS, DecodedObservation, decode
 from smp_gym.registration import environment_id
 from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
+from smp_gym.suites import Cell
 from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -29,7 +31,6 @@ __all__ = [
     "PlayMethods",
     "PlayedEpisode",
     "environment_id",
-    "kind_of_scene",
     "play_episode",
 ]
 
@@ -50,6 +51,8 @@ class EpisodeKey:
             `smp_gym.datasets.frozen.HALVES`; its seed then names it there. Empty for an episode
             that is drawn from its seed.
         family: of the scene, one of `smp_gym.scene.FAMILIES`.
+        sensing: of the environment, see `smp_gym.suites.Cell`.
+        noise: of the environment, m; see there.
     """
 
     task: str
@@ -58,6 +61,27 @@ class EpisodeKey:
     seed: int
     half: str = ""
     family: str = FAMILIES[0]
+    sensing: str = SENSINGS[0]
+    noise: float = 0.0
+
+    @classmethod
+    def of(cls, cell: Cell, method: str, seed: int, half: str = "") -> EpisodeKey:
+        """Return the identifier of an episode of a cell."""
+        return cls(
+            cell.task,
+            method,
+            cell.difficulty,
+            seed,
+            half,
+            cell.family,
+            cell.sensing,
+            cell.noise,
+        )
+
+    @property
+    def cell(self) -> Cell:
+        """The cell of the episode."""
+        return Cell(self.task, self.difficulty, self.family, self.sensing, self.noise)
 
 
 @dataclass(frozen=True)
@@ -83,7 +107,9 @@ class EpisodeRow:
             the environment reports distances up to 0.05 only.
         steps: environment steps.
         half: of the frozen list, see `EpisodeKey`.
-        family: of the scene, see `EpisodeKey`.
+        family: of the scene, see `EpisodeKey`, as the next two.
+        sensing: of the environment.
+        noise: of the environment, m.
         share_collision_free: share of the particles that are collision-free on the exact map.
         share_executable: share within the joint limits and the planner's limit of duration.
         share_good: share that are both.
@@ -112,6 +138,8 @@ class EpisodeRow:
     steps: int
     half: str = ""
     family: str = FAMILIES[0]
+    sensing: str = SENSINGS[0]
+    noise: float = 0.0
     share_collision_free: float | None = None
     share_executable: float | None = None
     share_good: float | None = None
@@ -129,7 +157,14 @@ class EpisodeRow:
     def key(self) -> EpisodeKey:
         """Identifier of the episode."""
         return EpisodeKey(
-            self.task, self.method, self.difficulty, self.seed, self.half, self.family
+            self.task,
+            self.method,
+            self.difficulty,
+            self.seed,
+            self.half,
+            self.family,
+            self.sensing,
+            self.noise,
         )
 
 
@@ -156,11 +191,6 @@ class PlayedEpisode:
     scene: Scene
     plan: Plan
     object_path: NDArray[np.float64]
-
-
-def kind_of_scene(difficulty: str, family: str) -> str:
-    """Return the name of the scenes of a difficulty and a family."""
-    return f"difficulty {difficulty}" if family == FAMILIES[0] else f"{family}, {difficulty}"
 
 
 def _goal_error(decoded: DecodedObservation) -> float:
@@ -191,11 +221,11 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _scene_of(key: EpisodeKey) -> Scene | None:
+def _scene_of(key: EpisodeKey, folder: Path | None) -> Scene | None:
     """Return the stored scene of an episode of a frozen list."""
     if not key.half:
         return None
-    for episode in load_episodes(key.task, key.difficulty):
+    for episode in load_episodes(key.cell, folder):
         if (episode.half, episode.seed) == (key.half, key.seed):
             return episode.scene
     raise ValueError(f"no frozen list holds the episode {key}")
@@ -206,19 +236,21 @@ def play_episode(
     env: gym.Env[Any, Any],
     policy: PlannerPolicy,
     recorders: Sequence[Recorder] = (),
+    lists: Path | None = None,
 ) -> PlayedEpisode:
     """Play one episode to its end with the best particle of each plan.
 
     Args:
         key: names the episode.
-        env: an environment of the key's task, difficulty and family.
+        env: an environment of the key's cell.
         policy: acts.
         recorders: see `smp_gym.rollout.rollout`.
+        lists: folder of the frozen lists; by default that of the package.
     """
     hand = FieldRecorder("end_effector_position")
     carried = FieldRecorder("object_position")
     began = time.perf_counter()
-    scene = _scene_of(key)
+    scene = _scene_of(key, lists)
     played = rollout(
         env,
         policy,
@@ -243,6 +275,8 @@ def play_episode(
         steps=played.steps,
         half=key.half,
         family=key.family,
+        sensing=key.sensing,
+        noise=key.noise,
         episode_time=elapsed,
         **_of_plan(plan),
     )
@@ -250,12 +284,10 @@ def play_episode(
 
 
 @lru_cache(maxsize=16)
-def _ready(
-    task: str, spec: str, difficulty: str, family: str
-) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
+def _ready(cell: Cell, spec: str) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
     """Return environment and policy of this process, after one unrecorded plan."""
-    env = gym.make(environment_id(task), difficulty=difficulty, family=family)
-    policy = PlannerPolicy.make(spec, task)
+    env = gym.make(environment_id(cell.task), **cell.make_arguments())
+    policy = PlannerPolicy.make(spec, cell.task)
     observation, _ = env.reset(seed=WARM_UP_SEED)
     policy.predict(observation, deterministic=True)
     return env, policy
@@ -267,9 +299,11 @@ class PlayMethods:
 
     Attributes:
         specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
+        lists: folder of the frozen lists; None for that of the package.
     """
 
     specs: Mapping[str, str] = field(default_factory=dict)
+    lists: Path | None = None
 
     def policy(self, key: EpisodeKey) -> PlannerPolicy:
         """Return a new policy of the method of an episode."""
@@ -280,5 +314,5 @@ class PlayMethods:
 
     def __call__(self, key: EpisodeKey) -> EpisodeRow:
         """Play one episode and return its row."""
-        env, policy = _ready(key.task, self._spec(key), key.difficulty, key.family)
-        return play_episode(key, env, policy).row
+        env, policy = _ready(key.cell, self._spec(key))
+        return play_episode(key, env, policy, lists=self.lists).row

@@ -5,15 +5,13 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
 from smp_gym.datasets.frozen import load_episodes
-from smp_gym.sampling import CROWDED
-from smp_gym.scene import DIFFICULTIES, FAMILIES, TASKS
-from smp_gym.tasks.registry import task_families
+from smp_gym.suites import Cell
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.results_folder import ResultsFolder, read_manifest, read_rows
 from smp_planner.planners.registry import resolve
@@ -39,62 +37,72 @@ class Manifest:
     """Description of a folder of results.
 
     Attributes:
-        tasks: names of the tasks.
+        cells: what is played; see `smp_gym.suites`.
         methods: names of the methods.
-        difficulty: of all episodes.
         seed: of the first episode; episode k has seed + k.
-        episodes: how many for each task and method; the only entry that may grow later.
+        episodes: how many for each cell and method; the only entry that may grow later.
         versions: of Python and of the packages that decide the rows.
         code: digest of the source and data files of this project.
         frozen: whether the episodes are the first of the frozen lists, instead of being drawn from
             seeds; `seed` is then 0.
-        family: of all scenes.
+        suite: whose cells these are; empty if they were named one by one.
+        lists: folder of the frozen lists; empty for that of the package.
         specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
         method_codes: digests of the source files of the methods, wherever they live, by name.
     """
 
-    tasks: tuple[str, ...]
+    cells: tuple[Cell, ...]
     methods: tuple[str, ...]
-    difficulty: str
     seed: int
     episodes: int
     versions: Mapping[str, str]
     code: str
     frozen: bool = False
-    family: str = FAMILIES[0]
+    suite: str = ""
+    lists: str = ""
     specs: Mapping[str, str] = field(default_factory=dict)
     method_codes: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Manifest:
-        """Return the manifest that JSON holds.
+        """Return the manifest that `to_json` gave.
 
         Raises:
-            KeyError, TypeError: entries are missing or not known.
+            KeyError, TypeError, ValueError: entries are missing or not known.
         """
-        names = {name: tuple(content[name]) for name in ("tasks", "methods")}
-        return cls(**{**content, **names})
+        cells = tuple(Cell(**cell) for cell in content["cells"].values())
+        return cls(**{**content, "cells": cells, "methods": tuple(content["methods"])})
 
-    def _names(self, task: str) -> list[tuple[int, str]]:
-        """Return seed and half of the episodes of a task."""
+    def to_json(self) -> dict[str, Any]:
+        """Return the manifest as JSON holds it, the cells by their names."""
+        content = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**content, "cells": {cell.name: asdict(cell) for cell in self.cells}}
+
+    @property
+    def lists_folder(self) -> Path | None:
+        """Folder of the frozen lists; None for that of the package."""
+        return Path(self.lists) if self.lists else None
+
+    def _names(self, cell: Cell) -> list[tuple[int, str]]:
+        """Return seed and half of the episodes of a cell."""
         if self.frozen:
-            episodes = load_episodes(task, self.difficulty)[: self.episodes]
+            episodes = load_episodes(cell, self.lists_folder)[: self.episodes]
             return [(episode.seed, episode.half) for episode in episodes]
         return [(self.seed + k, "") for k in range(self.episodes)]
 
     def episode_keys(self) -> list[EpisodeKey]:
         """Return all episodes, in the order in which they are played: one of each in turn."""
-        names = [self._names(task) for task in self.tasks]
+        names = [self._names(cell) for cell in self.cells]
         return [
-            EpisodeKey(task, method, self.difficulty, seed, half, self.family)
+            EpisodeKey.of(cell, method, seed, half)
             for together in zip(*names, strict=True)
-            for task, (seed, half) in zip(self.tasks, together, strict=True)
+            for cell, (seed, half) in zip(self.cells, together, strict=True)
             for method in self.methods
         ]
 
     def first_keys(self) -> list[EpisodeKey]:
-        """Return the first episode of each task and method."""
-        return self.episode_keys()[: len(self.tasks) * len(self.methods)]
+        """Return the first episode of each cell and method."""
+        return self.episode_keys()[: len(self.cells) * len(self.methods)]
 
 
 def versions() -> dict[str, str]:
@@ -121,41 +129,35 @@ def code_digest() -> str:
 
 
 def make_manifest(
-    tasks: Sequence[str],
+    cells: Sequence[Cell],
     methods: Sequence[str],
-    difficulty: str,
     seed: int,
     episodes: int,
     *,
     frozen: bool = False,
-    family: str = FAMILIES[0],
+    suite: str = "",
+    lists: Path | None = None,
 ) -> Manifest:
     """Return the manifest of a run with the versions that are installed.
 
-    Methods are given by their specs, and their modules are imported. With `frozen` the episodes are
-    the first ones of the frozen lists, and `seed` must be 0. A `family` needs tasks that have it.
+    Args:
+        cells: what is played.
+        methods: by their specs; their modules are imported.
+        seed: of the first episode; 0 with `frozen`.
+        episodes: of each cell and method.
+        frozen: play the first episodes of the frozen lists.
+        suite: whose cells these are, if it was named.
+        lists: folder of the frozen lists; by default that of the package.
 
     Raises:
-        ValueError: a name that does not exist or is given twice, or a number out of range; the
-            message names the value and what exists.
+        ValueError: a name that does not exist or is given twice, a cell without a list, or a number
+            out of range; the message names the value and what exists.
     """
-    unknown = [name for name in tasks if name not in TASKS]
-    if unknown:
-        raise ValueError(f"unknown task {unknown[0]!r}; there are: {', '.join(TASKS)}")
     resolved = [resolve(spec) for spec in methods]
-    for kind, names in (("task", tasks), ("method", [method.name for method in resolved])):
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"name each {kind} once and at least one, got {', '.join(names)!r}")
-    if difficulty not in DIFFICULTIES:
-        raise ValueError(f"unknown difficulty {difficulty!r}; there are: {', '.join(DIFFICULTIES)}")
-    for task in tasks:
-        if family not in task_families(task):
-            there = ", ".join(task_families(task))
-            raise ValueError(f"unknown family {family!r} of {task}; there are: {there}")
-    if family != FAMILIES[0] and difficulty not in CROWDED:
-        raise ValueError(
-            f"difficulty of family {family} must be one of {', '.join(CROWDED)}; got {difficulty!r}"
-        )
+    names = {"cell": [c.name for c in cells], "method": [m.name for m in resolved]}
+    for kind, given in names.items():
+        if not given or len(set(given)) < len(given):
+            raise ValueError(f"name each {kind} once and at least one, got {', '.join(given)!r}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if seed < 0:
@@ -163,19 +165,19 @@ def make_manifest(
     if frozen:
         if seed:
             raise ValueError(f"frozen lists have seeds of their own: seed must be 0, got {seed}")
-        least = min(len(load_episodes(task, difficulty)) for task in tasks)
+        least = min(len(load_episodes(cell, lists)) for cell in cells)
         if episodes > least:
             raise ValueError(f"the frozen lists hold {least} episodes, got episodes {episodes}")
     return Manifest(
-        tuple(tasks),
+        tuple(cells),
         tuple(method.name for method in resolved),
-        difficulty,
         seed,
         episodes,
         versions(),
         code_digest(),
         frozen,
-        family,
+        suite,
+        "" if lists is None else str(lists),
         {method.name: method.spec for method in resolved},
         {method.name: method.digest for method in resolved},
     )
@@ -195,7 +197,7 @@ class EpisodeStore(ResultsFolder[EpisodeRow]):
             folder,
             _ROWS,
             _row,
-            asdict(manifest),
+            manifest.to_json(),
             parse_manifest=Manifest.from_json,
             restart=restart,
         )

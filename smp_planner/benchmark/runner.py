@@ -182,7 +182,7 @@ def run(
         play_missing(
             store,
             manifest.episode_keys(),
-            player or PlayMethods(manifest.specs),
+            player or PlayMethods(manifest.specs, manifest.lists_folder),
             jobs=jobs,
             on_progress=on_progress,
         )
@@ -192,7 +192,7 @@ def run(
 def draw(
     manifest: Manifest, folder: Path, *, jobs: int = 1, figure: bool = True, video: bool = True
 ) -> list[Path]:
-    """Play the first episode of each task and method again, and write their figures and videos.
+    """Play the first episode of each cell and method again, and write their figures and videos.
 
     Args:
         manifest: of the run.
@@ -210,7 +210,7 @@ def draw(
     keys = manifest.first_keys()
     if not (figure or video):
         return []
-    player = PlayMethods(manifest.specs)
+    player = PlayMethods(manifest.specs, manifest.lists_folder)
     with workers(min(jobs, len(keys))) as pool:
         futures = [pool.submit(draw_episode, player, key, folder, figure, video) for key in keys]
         return [path for future in futures for path in future.result()]

@@ -15,7 +15,8 @@ from rich.table import Table
 from scipy import stats
 
 from smp_gym.datasets.frozen import HALVES
-from smp_planner.benchmark.episodes import EpisodeRow, kind_of_scene
+from smp_gym.suites import Cell
+from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import Manifest
 from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.results_folder import write_table
@@ -24,9 +25,10 @@ __all__ = [
     "CONFIDENCE",
     "CSV_COLUMNS",
     "mean_interval",
+    "overview",
     "rate_interval",
     "summarise",
-    "table",
+    "tables",
     "write_csv",
 ]
 
@@ -131,11 +133,15 @@ def summarise(
         accuracy: of the occupancy map on the run's scenes, if it was measured.
     """
     groups = []
-    for task in manifest.tasks:
+    by_group: dict[tuple[Cell, str], list[EpisodeRow]] = {}
+    for row in rows:
+        by_group.setdefault((row.key.cell, row.method), []).append(row)
+    for cell in manifest.cells:
         for method in manifest.methods:
-            chosen = [row for row in rows if (row.task, row.method) == (task, method)]
+            chosen = by_group.get((cell, method))
             if chosen:
-                groups.append({"task": task, "method": method, **_of_group(chosen)})
+                named = {"cell": cell.name, **asdict(cell), "method": method}
+                groups.append({**named, **_of_group(chosen)})
                 halves = {half: [row for row in chosen if row.half == half] for half in HALVES}
                 groups[-1]["halves"] = {
                     half: _of_group(rows_of_half)
@@ -143,8 +149,9 @@ def summarise(
                     if rows_of_half
                 }
     return {
-        "difficulty": manifest.difficulty,
-        "family": manifest.family,
+        "suite": manifest.suite,
+        "cells": [cell.name for cell in manifest.cells],
+        "methods": list(manifest.methods),
         "seed": manifest.seed,
         "episodes": manifest.episodes,
         "frozen": manifest.frozen,
@@ -175,11 +182,37 @@ def _number(estimate: Mapping[str, float] | None, scale: float, digits: int) -> 
     return f"{value:.{digits}f} [dim]({low:.{digits}f}–{high:.{digits}f})[/]"
 
 
-def table(summary: Mapping[str, Any]) -> Table:
-    """Return the summary as a table: one column per method and task, one line per quantity."""
+def _origin(summary: Mapping[str, Any]) -> str:
     first, last = summary["seed"], summary["seed"] + summary["episodes"] - 1
-    origin = "frozen list" if summary["frozen"] else f"seeds {first}–{last}"
-    kind = kind_of_scene(summary["difficulty"], summary["family"])
+    return "frozen list" if summary["frozen"] else f"seeds {first}–{last}"
+
+
+def overview(summary: Mapping[str, Any]) -> Table:
+    """Return the rates of success as a table: one column per method, one line per cell."""
+    suite = f"suite {summary['suite']}, " if summary["suite"] else ""
+    result = Table(
+        title=f"success in %, {suite}{_origin(summary)}",
+        caption=f"{summary['confidence']:.0%} Wilson intervals",
+        title_justify="left",
+        caption_justify="left",
+    )
+    result.add_column("")
+    for method in summary["methods"]:
+        result.add_column(method, justify="right")
+    rates = {(g["cell"], g["method"]): _percent(g["success"]) for g in summary["groups"]}
+    for cell in summary["cells"]:
+        result.add_row(cell, *(rates.get((cell, method), "–") for method in summary["methods"]))
+    return result
+
+
+def tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Return the summary as a table for each cell: one column per method, one line per quantity."""
+    groups = summary["groups"]
+    cells = [name for name in summary["cells"] if any(g["cell"] == name for g in groups)]
+    return [_table(summary, name, [g for g in groups if g["cell"] == name]) for name in cells]
+
+
+def _table(summary: Mapping[str, Any], cell: str, groups: Sequence[Mapping[str, Any]]) -> Table:
     caption = f"{summary['confidence']:.0%} intervals: Wilson for rates, bootstrap for means"
     if accuracy := summary["map"]:
         caption += (
@@ -187,15 +220,14 @@ def table(summary: Mapping[str, Any]) -> Table:
             f"{accuracy['outside_occupied']:.2%} of points 2–6 cm outside"
         )
     result = Table(
-        title=f"{kind}, {origin}",
+        title=f"{cell}, {_origin(summary)}",
         caption=caption,
         title_justify="left",
         caption_justify="left",
     )
-    groups = summary["groups"]
     result.add_column("")
     for group in groups:
-        result.add_column(f"{group['method']}\n[dim]{group['task']}[/]", justify="right")
+        result.add_column(group["method"], justify="right")
     lines: list[tuple[str, list[str]]] = [
         ("episodes", [str(g["episodes"]) for g in groups]),
         ("success, %", [_percent(g["success"]) for g in groups]),

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from smp_gym.arrays import FloatArray
 from smp_planner.collision.edge_check import EdgeChecker
-from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 
-__all__ = ["path_through"]
+__all__ = ["PathSearch", "path_through"]
+
+PathSearch = Callable[[FloatArray, FloatArray, EdgeChecker, np.random.Generator], FloatArray | None]
+"""Search for a path (V,n) rad from a start (n,) to one of several goals (G,n), such as
+`tree_search.rrt_connect`."""
 
 _PREDECESSORS = 4
 """Configurations of a layer, at most, from which a straight edge to each of the next is tried."""
 
 _ROOTS = 4
-"""Configurations of a layer, at most, from which a tree search is tried."""
+"""Configurations of a layer, at most, from which a search is tried."""
 
 
 def path_through(
@@ -24,24 +27,19 @@ def path_through(
     layers: Sequence[FloatArray],
     checker: EdgeChecker,
     rng: np.random.Generator,
-    *,
-    iterations: int,
-    step: float,
-    counted: list[int] | None = None,
+    search: PathSearch,
 ) -> list[FloatArray] | None:
     """Return free paths from a start through one configuration of each layer, or None.
 
     Neighbouring layers are joined by straight edges where some are free, and the shortest chain of
-    them is kept for each configuration (Viterbi 1967). Where none is, RRT-Connect joins them.
+    them is kept for each configuration (Viterbi 1967). Where none is, a search joins them.
 
     Args:
         start: (n,) rad.
         layers: each (C,n) rad; what is not free is passed over.
         checker: says what is free.
         rng: source of all randomness.
-        iterations: of a tree search, at most.
-        step: rad, longest edge of its trees.
-        counted: to which the iterations of each tree search are added.
+        search: joins what straight edges do not.
 
     Returns:
         One path (V,n) rad per layer, each beginning where the one before it ends.
@@ -66,9 +64,7 @@ def path_through(
             nodes, costs = ahead[joined], totals[joined, chosen]
             continue
         for i in np.argsort(totals.min(axis=0))[:_ROOTS].tolist():
-            path = rrt_connect(
-                nodes[i], ahead, checker, rng, iterations=iterations, step=step, counted=counted
-            )
+            path = search(nodes[i], ahead, checker, rng)
             if path is not None:
                 break
         else:

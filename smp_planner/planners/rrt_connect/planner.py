@@ -8,7 +8,8 @@ neither on the machine nor on what was planned before.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, invers
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE, minimum_duration
-from smp_planner.planners.rrt_connect.layered_search import path_through
+from smp_planner.planners.rrt_connect.layered_search import PathSearch, path_through
 from smp_planner.planners.rrt_connect.shortcutting import (
     path_length,
     shortcut,
@@ -39,7 +40,7 @@ from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
-__all__ = ["RRTConnectPlanner", "RRTConnectSettings"]
+__all__ = ["RRTConnectPlanner", "RRTConnectSettings", "SearchPlanner", "SearchSettings"]
 
 _CONTROL_POINTS = (7, 10, 14, 20, 28, 40, 56, 80)
 """Control points of the splines that are tried, from smooth to true to the path."""
@@ -52,14 +53,12 @@ SAMPLES = 200
 """T of the trajectories in a plan, as in the demonstrations."""
 
 
-class RRTConnectSettings(BaseModel):
-    """Settings of RRT-Connect.
+class SearchSettings(BaseModel):
+    """Settings of what is around a search for paths, whichever it is.
 
     Attributes:
         particles: P, size of the set: so many searches, each with randomness of its own.
         margin: m, distance to keep to obstacles.
-        iterations: of a search, at most.
-        step: rad, longest edge of the trees.
         postures: how many configurations are tried for each goal or via-point.
         posture_spread: rad, how far around the demonstrations' last configurations goal
             configurations are sought.
@@ -72,13 +71,23 @@ class RRTConnectSettings(BaseModel):
 
     particles: int = Field(default=4, ge=1)
     margin: float = Field(default=0.005, ge=CLEARANCE_TOLERANCE, allow_inf_nan=False)
-    iterations: int = Field(default=5_000, ge=1)
-    step: float = Field(default=0.5, gt=0.0, allow_inf_nan=False)
     postures: int = Field(default=64, ge=1)
     posture_spread: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
     branches: int = Field(default=8, ge=1)
     shortcuts: int = Field(default=100, ge=0)
     duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
+
+
+class RRTConnectSettings(SearchSettings):
+    """Settings of RRT-Connect, beside those of `SearchSettings`.
+
+    Attributes:
+        iterations: of a search, at most.
+        step: rad, longest edge of the trees.
+    """
+
+    iterations: int = Field(default=5_000, ge=1)
+    step: float = Field(default=0.5, gt=0.0, allow_inf_nan=False)
 
 
 def _timed(
@@ -121,13 +130,13 @@ class _Search:
         problem: to be solved.
         demonstrated: (N,T,6) rad, around which configurations are sought.
         settings: budgets.
-        counted: iterations of the tree searches so far, in order.
+        join: searches for a path.
     """
 
     problem: Problem
     demonstrated: FloatArray
-    settings: RRTConnectSettings
-    counted: list[int] = field(default_factory=list)
+    settings: SearchSettings
+    join: PathSearch
 
     @property
     def robot(self) -> RobotModel:
@@ -188,17 +197,8 @@ class _Search:
         self, start: FloatArray, goals: FloatArray, checker: EdgeChecker, rng: np.random.Generator
     ) -> FloatArray | None:
         """Return a short free path (V,6) rad from a configuration to one of several, or None."""
-        s = self.settings
-        path = rrt_connect(
-            start,
-            goals,
-            checker,
-            rng,
-            iterations=s.iterations,
-            step=s.step,
-            counted=self.counted,
-        )
-        return None if path is None else shortcut(path, checker, s.shortcuts, rng)
+        path = self.join(start, goals, checker, rng)
+        return None if path is None else shortcut(path, checker, self.settings.shortcuts, rng)
 
     def passes(self, trajectory: FloatArray) -> bool:
         """Return whether a trajectory (T,6) rad passes all via-points."""
@@ -223,15 +223,7 @@ class _Search:
         checker = self.checker([start[None], *layers])
         # Each search has its own half of the configurations, so that not all find the same path.
         halves = [layer[rng.permutation(len(layer))[: (len(layer) + 1) // 2]] for layer in layers]
-        found = path_through(
-            start,
-            halves,
-            checker,
-            rng,
-            iterations=s.iterations,
-            step=s.step,
-            counted=self.counted,
-        )
+        found = path_through(start, halves, checker, rng, self.join)
         if found is None:
             return None
         pieces = [shortcut(piece, checker, s.shortcuts, rng) for piece in found]
@@ -307,8 +299,8 @@ def _followed(chain: FloatArray, via_poses: Sequence[ViaPose], samples: int) -> 
     return np.asarray(spline(np.linspace(due[0], due[-1], samples)))
 
 
-class RRTConnectPlanner:
-    """Independent RRT-Connect solutions, shortened and smoothed.
+class SearchPlanner:
+    """Independent solutions of a search for paths, shortened and smoothed.
 
     Via-points are passed through configurations found by inverse kinematics, joined by straight
     edges or, where none is free, by a search. Where a problem has via-poses, the stretch between
@@ -317,14 +309,22 @@ class RRTConnectPlanner:
 
     Args:
         demonstrations: give the postures in which a place is reached, and nothing else.
-        settings: of `RRTConnectSettings` by name; the rest keep their defaults.
-
-    Raises:
-        ValueError: an unknown setting, or one out of range.
+        settings: budgets.
+        join: searches for a path.
+        budget: of a search, in words, such as "5000 iterations".
+        counted: to which `join` adds its iterations, if it counts them: the plan then holds them.
     """
 
-    def __init__(self, demonstrations: Demonstrations, settings: Mapping[str, Any]) -> None:
-        self._settings = RRTConnectSettings.model_validate(dict(settings))
+    def __init__(
+        self,
+        demonstrations: Demonstrations,
+        settings: SearchSettings,
+        join: PathSearch,
+        budget: str,
+        counted: list[int] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._join, self._budget, self._counted = join, budget, counted
         self._demonstrated = np.array(demonstrations.configurations)
 
     @property
@@ -333,7 +333,7 @@ class RRTConnectPlanner:
         return self._settings.model_dump(mode="json")
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
-        """Return one plan for each problem; the same problem gives the same plan.
+        """Return one plan for each problem.
 
         Raises:
             UnreachableError: a goal is out of reach.
@@ -343,7 +343,7 @@ class RRTConnectPlanner:
     def _plan(self, problem: Problem) -> Plan:
         stopwatch, settings = Stopwatch(), self._settings
         with stopwatch.stage("goals"):
-            search = _Search(problem, self._demonstrated, settings)
+            search = _Search(problem, self._demonstrated, settings, self._join)
             goals = search.goals(problem.start)
             if not len(goals):
                 named = ", ".join(f"{np.round(goal.center, 3)}" for goal in problem.goals)
@@ -354,7 +354,8 @@ class RRTConnectPlanner:
         with stopwatch.stage("search"):
             found, iterations = [], []
             for index in range(settings.particles):
-                search.counted.clear()
+                if self._counted is not None:
+                    self._counted.clear()
                 rng = np.random.default_rng([problem.seed, 2, index])
                 if problem.via_poses:
                     found.append(search.by_poses(rng))
@@ -362,25 +363,46 @@ class RRTConnectPlanner:
                     found.append(search.through(layers, rng))
                 else:
                     found.append(search.direct(goals, rng))
-                iterations.append(sum(search.counted))
+                if self._counted is not None:
+                    iterations.append(sum(self._counted))
         with stopwatch.stage("verification"):
             # Where no path was found a straight one stands, so that the set has its size.
             ends = np.stack([problem.start, goals[0]])
             straight = stop_at_corners(ends, problem.robot.velocity, SAMPLES)
             trajectories = np.stack([straight if path is None else path for path in found])
             free = search.checker([problem.start[None], goals]).configurations_free(goals)
+            costs = {"length": np.array([path_length(path) for path in trajectories])}
+            if self._counted is not None:
+                costs["iterations"] = np.array(iterations, np.float64)
             plan = make_plan(
                 problem,
                 trajectories,
-                {
-                    "length": np.array([path_length(path) for path in trajectories]),
-                    "iterations": np.array(iterations, np.float64),
-                },
+                costs,
                 PlanSettings(particles=len(found), duration_limit=settings.duration_limit),
                 reason=(
                     f"{sum(path is not None for path in found)} of {settings.particles} searches "
-                    f"succeeded within {settings.iterations} iterations, {int(free.sum())} of "
+                    f"succeeded within {self._budget}, {int(free.sum())} of "
                     f"{settings.postures} configurations at the goal are free"
                 ),
             )
         return replace(plan, timings=stopwatch.timings)
+
+
+class RRTConnectPlanner(SearchPlanner):
+    """Independent RRT-Connect solutions; see `SearchPlanner`.
+
+    The same problem gives the same plan.
+
+    Args:
+        demonstrations: give the postures in which a place is reached, and nothing else.
+        settings: of `RRTConnectSettings` by name; the rest keep their defaults.
+
+    Raises:
+        ValueError: an unknown setting, or one out of range.
+    """
+
+    def __init__(self, demonstrations: Demonstrations, settings: Mapping[str, Any]) -> None:
+        s = RRTConnectSettings.model_validate(dict(settings))
+        counted: list[int] = []
+        join = partial(rrt_connect, iterations=s.iterations, step=s.step, counted=counted)
+        super().__init__(demonstrations, s, join, f"{s.iterations} iterations", counted)

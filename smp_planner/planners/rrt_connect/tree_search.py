@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
 from smp_planner.collision.edge_check import EdgeChecker, edge_is_free, new_scratch
+from smp_planner.collision.robot_model import RobotModel
 
-__all__ = ["rrt_connect"]
+__all__ = ["rrt_connect", "search_box"]
 
 
 @kernel
@@ -102,6 +103,19 @@ def _branch(nodes: FloatArray, parents: NDArray[np.int64], leaf: int) -> FloatAr
     return nodes[indices]
 
 
+def search_box(robot: RobotModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the bounds (n,) and (n,) rad within which configurations are drawn.
+
+    They are the joint limits, and for joints with more than one turn half a turn from the start.
+
+    Args:
+        robot: whose limits they are.
+        start: (n,) rad.
+    """
+    reach = np.where(robot.endless, np.pi, np.inf)
+    return np.maximum(robot.lower, start - reach), np.minimum(robot.upper, start + reach)
+
+
 def rrt_connect(
     start: ArrayLike,
     goals: ArrayLike,
@@ -117,8 +131,7 @@ def rrt_connect(
     Kuffner & LaValle 2000, Fig. 5: two trees; one grows a step towards a random configuration, the
     other as far as it comes towards what the first one gained; then they change places. All goals
     are roots of the second tree. The first step is towards the first goal; after that,
-    configurations are drawn evenly within the joint limits, those of joints with more than one turn
-    within half a turn of the start.
+    configurations are drawn evenly within `search_box`.
 
     Args:
         start: (n,) rad.
@@ -150,8 +163,7 @@ def rrt_connect(
     ends = ends[checker.configurations_free(ends)]
     if not len(ends) or not checker.configurations_free(root[None])[0]:
         return None
-    reach = np.where(robot.endless, np.pi, np.inf)
-    lower, upper = np.maximum(robot.lower, root - reach), np.minimum(robot.upper, root + reach)
+    lower, upper = search_box(robot, root)
     samples = rng.uniform(lower, upper, (iterations, robot.joints))
     samples[0] = ends[0]
     room = len(ends) + 8 * iterations

@@ -11,78 +11,49 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from smp_gym.datasets import frozen
 from smp_gym.datasets.frozen import (
     HALVES,
     FrozenEpisode,
     FrozenEpisodes,
     frozen_lists,
+    list_path,
     load_episodes,
+    load_unknown,
     read_header,
     write_episodes,
 )
 from smp_gym.observation import MAX_EPISODE_STEPS, decode
-from smp_gym.sampling import SPECIFICATIONS, sample_scene
-from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_gym.sampling import sample_scene
+from smp_gym.scene import EVALUATION_RANGE_START
+from smp_gym.suites import Cell
 
 PLACEMENT = "smp_gym/Placement-v0"
-LISTS = frozen_lists()
+EASY = Cell("Placement", "easy")
 STEPS = 3
 
 
-def test_placement_has_its_lists():
-    assert {("Placement", difficulty) for difficulty in ("easy", "medium", "hard")} <= set(LISTS)
-
-
-# On the ways to both pads; at hard, one way is closed off by a single obstacle.
-OBSTACLES = {
-    ("DoubleSidedPlacement", difficulty): count
-    for difficulty, count in (("easy", 4), ("medium", 8), ("hard", 7))
-}
-
-
-@pytest.mark.parametrize("names", LISTS, ids=" ".join)
-def test_a_list_holds_what_its_header_says(names):
-    episodes, header = load_episodes(*names), read_header(*names)
-    assert len(episodes) == header["episodes"] == 200
-    assert (header["task"], header["difficulty"]) == names
+@pytest.mark.parametrize("cell", frozen_lists(), ids=lambda cell: cell.name)
+def test_a_list_holds_what_its_header_says(cell):
+    """Of every list that ships."""
+    header, kept, unknown = read_header(cell), load_episodes(cell), load_unknown(cell)
+    assert len(kept) == header["episodes"] == 100
+    assert len(unknown) == header["unknown"]
     assert set(header["versions"]) >= {"numpy", "pybullet", "python"}
-    assert [episode.half for episode in episodes] == list(HALVES) * 100
-    assert len({(episode.half, episode.seed) for episode in episodes}) == 200
-    assert len({episode.scene.to_json() for episode in episodes}) == 200
-    for episode in episodes:
-        scene = episode.scene
-        assert (scene.task, scene.difficulty) == names
-        assert len(scene.obstacles) == OBSTACLES.get(names, SPECIFICATIONS[names[1]].obstacles)
-        assert scene.seed == (episode.seed if episode.half == "witness" else None)
-        assert episode.seed >= EVALUATION_SEEDS_START
-
-
-@pytest.mark.parametrize("names", LISTS, ids=" ".join)
-def test_the_witness_half_is_what_the_seeds_give(names):
-    """Other machines may differ in the last bits: what is played is what is stored."""
-    half = [episode for episode in load_episodes(*names) if episode.half == "witness"]
-    assert [e.seed for e in half] == list(range(EVALUATION_SEEDS_START, 100 + half[0].seed))
-    same = []
-    for episode in half[:8]:
-        drawn = sample_scene(*names, episode.seed)
-        pairs = list(zip(episode.scene.obstacles, drawn.obstacles, strict=True))
-        same.append(
-            all(
-                stored.shape == again.shape
-                and np.allclose(stored.position, again.position, rtol=0.0, atol=1e-9)
-                for stored, again in pairs
-            )
+    assert sum(header["solvers"].values()) == 100
+    for half, counts in header["halves"].items():
+        of_half = [e for e in (*kept, *unknown) if e.half == half]
+        assert counts["drawn"] == counts["kept"] + counts["unknown"] == len(of_half)
+        assert sorted(e.seed for e in of_half) == list(
+            range(EVALUATION_RANGE_START, EVALUATION_RANGE_START + len(of_half))
         )
-    # On another processor the last bit may turn the choice between two obstacles.
-    assert sum(same) >= 7
+    assert len({episode.scene.to_json() for episode in kept}) == 100
 
 
-def test_lists_that_do_not_exist_are_refused():
-    with pytest.raises(ValueError, match=r"'none'; there are: .*Placement easy"):
-        load_episodes("Placement", "none")
-    with pytest.raises(ValueError, match="Juggling"):
-        read_header("Juggling", "easy")
+def test_cells_without_a_list_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"of Placement_none: no suite holds it.* standard, tight"):
+        load_episodes(Cell("Placement", "none"))
+    with pytest.raises(ValueError, match=r"of Placement_easy, no file .*; there are: none"):
+        load_episodes(EASY, tmp_path)
 
 
 # Files
@@ -90,53 +61,72 @@ def test_lists_that_do_not_exist_are_refused():
 
 def small(count=6):
     return tuple(
-        FrozenEpisode(HALVES[i % 2], 7 + i // 2, sample_scene("Placement", "none", i))
+        FrozenEpisode(HALVES[i % 2], 7 + i // 2, sample_scene("Placement", "easy", i), "reference")
         for i in range(count)
     )
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(frozen, "asset_path", lambda *parts: tmp_path.joinpath(*parts[1:]))
-    load_episodes.cache_clear()
-    yield tmp_path
-    load_episodes.cache_clear()
+def unsolved(seed=9):
+    return FrozenEpisode("placed", seed, sample_scene("Placement", "easy", seed))
 
 
-def test_lists_survive_the_disk(folder):
-    path = folder / "Placement_none.jsonl.gz"
-    write_episodes(path, {"made": "here"}, small())
+def test_lists_survive_the_disk(tmp_path):
+    path = list_path(EASY, tmp_path)
+    write_episodes(path, {"made": "here"}, small(), [unsolved()])
     before = path.read_bytes()
-    write_episodes(path, {"made": "here"}, small())
+    write_episodes(path, {"made": "here"}, small(), [unsolved()])
     assert path.read_bytes() == before
-    assert load_episodes("Placement", "none") == small()
-    assert read_header("Placement", "none")["made"] == "here"
+    assert load_episodes(EASY, tmp_path) == small()
+    assert load_unknown(EASY, tmp_path) == (unsolved(),)
+    assert read_header(EASY, tmp_path)["made"] == "here"
+    assert frozen_lists(tmp_path) == (EASY,)
+    # What is sensed has no say in what is there.
+    assert load_episodes(Cell("Placement", "easy", sensing="depth"), tmp_path) == small()
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda lines: lines[:-1], "6 episodes announced, 5 there"),
-        (lambda lines: [lines[0].replace("smp_gym", "gym"), *lines[1:]], "format must be"),
+        (lambda lines: lines[:-1], "6 episodes and 1 unknown announced, 6 there"),
+        (lambda lines: [lines[0].replace("smp_gym", "gym"), *lines[1:]], "its format is gym"),
         (lambda lines: [lines[0], lines[1].replace("bin", "bun"), *lines[2:]], "line 2"),
-        (lambda lines: [*lines[:-1], lines[-1].replace("certified", "good")], "line 7.*witness"),
-        (lambda lines: [*lines[:-1], lines[-1].replace("none", "easy")], "line 7.*Placement, easy"),
+        (lambda lines: [*lines[:-1], lines[-1].replace("placed", "good")], "line 8.*witness"),
+        (
+            lambda lines: [lines[0], lines[1].replace('"easy"', '"hard"'), *lines[2:]],
+            "line 2.*Placement, hard",
+        ),
+        (
+            lambda lines: [lines[0], lines[-1], *lines[1:-1]],
+            "line 2.*number 1 of 6, solved by ''",
+        ),
         (lambda _: ["[]"], "not a list of episodes"),
     ],
 )
-def test_damaged_lists_are_refused(folder, damage, message):
-    path = folder / "Placement_none.jsonl.gz"
-    write_episodes(path, {}, small())
+def test_damaged_lists_are_refused(tmp_path, damage, message):
+    path = list_path(EASY, tmp_path)
+    write_episodes(path, {}, small(), [unsolved()])
     lines = damage(gzip.decompress(path.read_bytes()).decode().splitlines())
     path.write_bytes(gzip.compress("\n".join(lines).encode()))
     with pytest.raises(ValueError, match=message):
-        load_episodes("Placement", "none")
+        load_episodes(EASY, tmp_path)
 
 
-def test_a_file_that_is_no_archive_is_refused(folder):
-    (folder / "Placement_none.jsonl.gz").write_text(json.dumps({}))
+def test_a_list_of_the_first_format_says_what_is_allowed(tmp_path):
+    path = list_path(EASY, tmp_path)
+    path.parent.mkdir()
+    old = {"format": "smp_gym.episodes", "version": 1, "task": "Placement", "episodes": 0}
+    path.write_bytes(gzip.compress(json.dumps(old).encode()))
+    expected = r"Placement_easy.*its format is smp_gym.episodes 1, allowed is smp_gym.episodes 2"
+    with pytest.raises(ValueError, match=expected):
+        load_episodes(EASY, tmp_path)
+
+
+def test_a_file_that_is_no_archive_is_refused(tmp_path):
+    path = list_path(EASY, tmp_path)
+    path.parent.mkdir()
+    path.write_text(json.dumps({}))
     with pytest.raises(ValueError, match="not a list of episodes"):
-        load_episodes("Placement", "none")
+        load_episodes(EASY, tmp_path)
 
 
 # The wrapper

@@ -18,7 +18,8 @@ from rich.console import Console
 from scipy import stats
 from typer.testing import CliRunner
 
-from smp_gym.datasets.frozen import load_episodes
+from smp_gym.datasets.frozen import FrozenEpisode, list_path, load_episodes, write_episodes
+from smp_gym.suites import SUITES, Cell
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
@@ -27,13 +28,15 @@ from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import (
     CSV_COLUMNS,
     mean_interval,
+    overview,
     rate_interval,
     summarise,
-    table,
+    tables,
     write_csv,
 )
 
 TIMES = ("planning_time", "episode_time")
+MEDIUM, HARD = Cell("Placement", "medium"), Cell("Placement", "hard")
 
 
 def fake_play(key: EpisodeKey) -> EpisodeRow:
@@ -55,6 +58,8 @@ def fake_play(key: EpisodeKey) -> EpisodeRow:
         steps=int(draw.integers(100, 400)),
         half=key.half,
         family=key.family,
+        sensing=key.sensing,
+        noise=key.noise,
         share_collision_free=float(draw.random()),
         planning_time=time.perf_counter() % 1.0,
         episode_time=0.1,
@@ -75,7 +80,7 @@ def is_killed_at_seed_two(key: EpisodeKey) -> EpisodeRow:
 
 
 def manifest(episodes: int = 4, **changes: Any) -> Manifest:
-    made = Manifest(("Placement",), ("smp", "promp"), "medium", 0, episodes, {"numpy": "2"}, "abc")
+    made = Manifest((MEDIUM,), ("smp", "promp"), 0, episodes, {"numpy": "2"}, "abc")
     return dataclasses.replace(made, **changes)
 
 
@@ -98,22 +103,22 @@ def test_every_method_plays_the_same_seeds() -> None:
 def test_manifest_records_what_decides_the_rows() -> None:
     import torch
 
-    made = make_manifest(["Placement"], ["smp"], "easy", 5, 7)
+    made = make_manifest([MEDIUM], ["smp"], 5, 7)
     assert made.versions["torch"].split("+")[0] == torch.__version__.split("+")[0]
     assert made.versions["numpy"] == np.__version__
-    assert made == make_manifest(["Placement"], ["smp"], "easy", 5, 7)
+    assert made == make_manifest([MEDIUM], ["smp"], 5, 7)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((["Chess"], ["smp"], "easy", 0, 1), "unknown task 'Chess'; there are: Placement"),
-        ((["Placement"], ["spm"], "easy", 0, 1), "unknown method 'spm'; there are: smp, promp"),
-        ((["Placement"], ["smp"], "huge", 0, 1), "unknown difficulty 'huge'; there are: none"),
-        ((["Placement"], [], "easy", 0, 1), "at least one"),
-        ((["Placement"], ["smp", "smp"], "easy", 0, 1), "once"),
-        ((["Placement"], ["smp"], "easy", -1, 1), "seed must not be negative, got -1"),
-        ((["Placement"], ["smp"], "easy", 0, 0), "episodes must be at least 1, got 0"),
+        (([MEDIUM], ["spm"], 0, 1), "unknown method 'spm'; there are: smp, promp"),
+        (([], ["smp"], 0, 1), "name each cell once and at least one"),
+        (([MEDIUM, MEDIUM], ["smp"], 0, 1), "name each cell once"),
+        (([MEDIUM], [], 0, 1), "at least one"),
+        (([MEDIUM], ["smp", "smp"], 0, 1), "once"),
+        (([MEDIUM], ["smp"], -1, 1), "seed must not be negative, got -1"),
+        (([MEDIUM], ["smp"], 0, 0), "episodes must be at least 1, got 0"),
     ],
 )
 def test_unknown_names_list_what_exists(arguments: tuple[Any, ...], message: str) -> None:
@@ -121,10 +126,24 @@ def test_unknown_names_list_what_exists(arguments: tuple[Any, ...], message: str
         make_manifest(*arguments)
 
 
-def test_frozen_lists_are_asked_for_by_seed_and_half() -> None:
-    made = make_manifest(["Placement"], ["smp", "promp"], "hard", 0, 5, frozen=True)
+@pytest.fixture
+def lists(tmp_path: Path) -> Path:
+    """A folder with a list of four episodes, in two halves, and one that nobody solved."""
+    folder = tmp_path / "lists"
+    episodes = [
+        FrozenEpisode(half, seed, HARD.scene(seed), "reference")
+        for seed in (3, 4)
+        for half in ("witness", "placed")
+    ]
+    unknown = [FrozenEpisode("placed", 5, HARD.scene(5))]
+    write_episodes(list_path(HARD, folder), {}, episodes, unknown)
+    return folder
+
+
+def test_frozen_lists_are_asked_for_by_seed_and_half(lists: Path) -> None:
+    made = make_manifest([HARD], ["smp", "promp"], 0, 3, frozen=True, lists=lists)
     keys = made.episode_keys()
-    listed = [(e.seed, e.half) for e in load_episodes("Placement", "hard")[:5]]
+    listed = [(e.seed, e.half) for e in load_episodes(HARD, lists)[:3]]
     for method in ("smp", "promp"):
         assert [(k.seed, k.half) for k in keys if k.method == method] == listed
     assert [(k.method, k.seed, k.half) for k in made.first_keys()] == [
@@ -134,43 +153,31 @@ def test_frozen_lists_are_asked_for_by_seed_and_half() -> None:
 
 
 @pytest.mark.parametrize(
-    ("difficulty", "seed", "episodes", "message"),
+    ("cell", "seed", "episodes", "message"),
     [
-        ("none", 0, 1, "no frozen list.*'none'; there are: .*Placement easy"),
-        ("easy", 3, 1, "seed must be 0, got 3"),
-        ("easy", 0, 201, "hold 200 episodes, got episodes 201"),
+        (Cell("Placement", "none"), 0, 1, "no frozen list of Placement_none"),
+        (MEDIUM, 0, 1, "no frozen list of Placement_medium, .* there are: Placement_hard"),
+        (HARD, 3, 1, "seed must be 0, got 3"),
+        (HARD, 0, 5, "hold 4 episodes, got episodes 5"),
     ],
 )
 def test_frozen_lists_that_do_not_exist_are_refused(
-    difficulty: str, seed: int, episodes: int, message: str
+    lists: Path, cell: Cell, seed: int, episodes: int, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        make_manifest(["Placement"], ["smp"], difficulty, seed, episodes, frozen=True)
+        make_manifest([cell], ["smp"], seed, episodes, frozen=True, lists=lists)
 
 
-def test_a_family_is_in_every_key_and_in_the_title() -> None:
-    made = make_manifest(["Placement"], ["smp"], "medium", 0, 2, family="shelf")
-    assert [(key.family, key.seed) for key in made.episode_keys()] == [("shelf", 0), ("shelf", 1)]
-    rows = [fake_play(key) for key in made.episode_keys()]
-    assert [row.key for row in rows] == made.episode_keys()
-    assert table(summarise(made, rows)).title == "furniture: shelf, seeds 0–1"
-    plain = make_manifest(["Placement"], ["smp"], "medium", 0, 2)
-    assert not set(plain.episode_keys()) & set(made.episode_keys())
-
-
-@pytest.mark.parametrize(
-    ("tasks", "family", "frozen", "message"),
-    [
-        (["Placement"], "sofa", False, "unknown family 'sofa'; there are: obstacles, shelf"),
-        (["Placement", "DrawS"], "cage", False, "needs tasks out of Placement, .* got DrawS"),
-        (["Placement"], "cage", True, "is not frozen, got frozen"),
-    ],
-)
-def test_families_that_cannot_be_played_are_refused(
-    tasks: list[str], family: str, frozen: bool, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_manifest(tasks, ["smp"], "easy", 0, 1, frozen=frozen, family=family)
+def test_a_cell_is_in_every_key_and_in_the_titles() -> None:
+    cells = [Cell("Placement", "medium", "shelf"), Cell("DrawS", "easy", sensing="depth"), MEDIUM]
+    made = make_manifest(cells, ["smp"], 0, 2)
+    keys = made.episode_keys()
+    assert [(key.cell, key.seed) for key in keys] == [(c, seed) for seed in (0, 1) for c in cells]
+    assert made.first_keys() == keys[:3]
+    rows = [fake_play(key) for key in keys]
+    assert [row.key for row in rows] == keys
+    titles = [table.title for table in tables(summarise(made, rows))]
+    assert titles == [f"{cell.name}, seeds 0–1" for cell in cells]
 
 
 # What is stored
@@ -223,8 +230,8 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"difficulty": "hard"}, "difficulty: 'medium' there, 'hard' now"),
-        ({"family": "cage"}, "family: 'obstacles' there, 'cage' now"),
+        ({"cells": (HARD,)}, "cell of Placement_hard: None there"),
+        ({"suite": "standard"}, "suite: '' there, 'standard' now"),
         ({"seed": 1}, "seed: 0 there, 1 now"),
         ({"methods": ("smp",)}, "methods"),
         ({"versions": {"numpy": "3"}}, "version of numpy: 2 there, 3 now"),
@@ -429,26 +436,41 @@ def test_summary_counts_by_method_and_is_json() -> None:
 
 def test_table_shows_every_group() -> None:
     rows = [fake_play(key) for key in manifest(5).episode_keys()]
-    shown = table(summarise(manifest(5), rows))
+    (shown,) = tables(summarise(manifest(5), rows))
     assert len(shown.columns) == 3
 
 
-def test_halves_of_a_frozen_list_are_summarised_apart(tmp_path: Path) -> None:
-    made = manifest(20, frozen=True)
+def test_an_overview_has_a_line_for_each_cell() -> None:
+    made = manifest(5, cells=(MEDIUM, HARD), suite="standard")
+    rows = [fake_play(key) for key in made.episode_keys() if key.cell == HARD]
+    summary = summarise(made, rows)
+    assert [table.title for table in tables(summary)] == ["Placement_hard, seeds 0–4"]
+    console = Console(width=100)
+    with console.capture() as shown:
+        console.print(overview(summary))
+    rate = 100.0 * sum(row.success for row in rows if row.method == "smp") / 5
+    lines = [line.split("│")[1:3] for line in shown.get().splitlines() if "Placement_" in line]
+    assert [name.strip() for name, _ in lines] == ["Placement_medium", "Placement_hard"]
+    assert lines[0][1].strip() == "–"
+    assert lines[1][1].strip().startswith(f"{rate:.1f} (")
+
+
+def test_halves_of_a_frozen_list_are_summarised_apart(tmp_path: Path, lists: Path) -> None:
+    made = manifest(4, cells=(HARD,), frozen=True, lists=str(lists))
     rows = [fake_play(key) for key in made.episode_keys()]
     summary = json.loads(json.dumps(summarise(made, rows), allow_nan=False))
     for group in summary["groups"]:
-        assert list(group["halves"]) == ["witness", "certified"]
+        assert list(group["halves"]) == ["witness", "placed"]
         for half, part in group["halves"].items():
             of_half = [r for r in rows if (r.method, r.half) == (group["method"], half)]
-            assert part["episodes"] == len(of_half) == 10
-            assert part["success"]["value"] == sum(row.success for row in of_half) / 10
+            assert part["episodes"] == len(of_half) == 2
+            assert part["success"]["value"] == sum(row.success for row in of_half) / 2
     console = Console(width=100)
     with console.capture() as shown:
-        console.print(table(summary))
-    for text in ("frozen list", "witness half", "certified half"):
+        console.print(*tables(summary))
+    for text in ("frozen list", "witness half", "placed half"):
         assert text in shown.get()
-    assert {row["half"] for row in without_times(tmp_path, rows)} == {"witness", "certified"}
+    assert {row["half"] for row in without_times(tmp_path, rows)} == {"witness", "placed"}
     drawn = [fake_play(key) for key in manifest(2).episode_keys()]
     assert all(g["halves"] == {} for g in summarise(manifest(2), drawn)["groups"])
 
@@ -459,8 +481,10 @@ def test_halves_of_a_frozen_list_are_summarised_apart(tmp_path: Path) -> None:
 def test_list_names_what_exists() -> None:
     result = CliRunner().invoke(app, ["list"])
     assert result.exit_code == 0
-    for name in ("Placement", "smp", "promp", "none", "easy", "medium", "hard", "100000"):
+    for name in ("Placement", "smp", "promp", "none", "easy", "medium", "hard", "100000", "200000"):
         assert name in result.output
+    for name in SUITES:
+        assert f"suite {name}" in result.output
 
 
 @pytest.mark.parametrize(
@@ -470,6 +494,13 @@ def test_list_names_what_exists() -> None:
         (["--methods", "smp,spm"], "there are: smp, promp"),
         (["--difficulty", "huge"], "there are: none, easy, medium, hard"),
         (["--family", "sofa"], "there are: obstacles, shelf, box, cage, table"),
+        (["--sensing", "sonar"], "there are: exact, noise, depth"),
+        (["--sensing", "noise", "--noise", "-1"], "noise must be positive"),
+        (["--suite", "loose"], "unknown suite 'loose'; there are: standard, tight"),
+        (["--suite", "standard", "--cells", "DrawS_huge"], "there are: Placement_easy"),
+        (["--suite", "standard", "--difficulty", "easy"], "--difficulty is of single cells"),
+        (["--suite", "standard", "--lists", "nowhere"], "no frozen list of Placement_easy"),
+        (["--cells", "DrawS_easy"], "--cells needs --suite"),
         (["--episodes", "0"], "--episodes"),
         (["--frozen", "--seed", "7"], "seed must be 0, got 7"),
         (["--frozen", "--difficulty", "none"], "no frozen list"),

@@ -13,8 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.datasets.frozen import load_episodes
-from smp_gym.sampling import sample_scene
+from smp_gym.datasets.frozen import FrozenEpisode, list_path, write_episodes
+from smp_gym.sampling import place_without_witness, sample_scene
+from smp_gym.suites import Cell
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episode_pictures import object_paths
 from smp_planner.benchmark.episodes import EpisodeKey, PlayedEpisode, environment_id, play_episode
@@ -52,18 +53,41 @@ def test_methods_meet_the_scene_of_the_seed(rollouts: dict[str, PlayedEpisode]) 
             np.testing.assert_allclose(met.size, drawn.size, atol=1e-6)
 
 
-def test_an_episode_of_a_frozen_list_is_the_stored_one(env: gym.Env[Any, Any]) -> None:
-    episode = load_episodes("Placement", "hard")[1]
-    key = EpisodeKey("Placement", "promp", "hard", episode.seed, episode.half)
-    rollout = play_episode(key, env, PlannerPolicy.make("promp", "Placement"))
+def test_an_episode_of_a_frozen_list_is_the_stored_one(
+    env: gym.Env[Any, Any], tmp_path: Path
+) -> None:
+    cell = Cell("Placement", "hard")
+    stored = place_without_witness("Placement", "hard", 3)
+    episodes = [FrozenEpisode("placed", 3, stored, "smp")]
+    write_episodes(list_path(cell, tmp_path), {}, episodes)
+    key = EpisodeKey.of(cell, "promp", 3, "placed")
+    policy = PlannerPolicy.make("promp", "Placement")
+    rollout = play_episode(key, env, policy, lists=tmp_path)
     assert rollout.row.key == key
-    assert rollout.row.half == "certified"
-    assert len(rollout.scene.obstacles) == 6
-    for met, stored in zip(rollout.scene.obstacles, episode.scene.obstacles, strict=True):
-        np.testing.assert_allclose(met.position, stored.position, atol=1e-6)
-    unknown = EpisodeKey("Placement", "promp", "hard", 5, "witness")
+    assert rollout.row.half == "placed"
+    assert len(rollout.scene.obstacles) == len(stored.obstacles)
+    for met, drawn in zip(rollout.scene.obstacles, stored.obstacles, strict=True):
+        np.testing.assert_allclose(met.position, drawn.position, atol=1e-6)
+    unknown = EpisodeKey.of(cell, "promp", 5, "witness")
     with pytest.raises(ValueError, match="seed=5"):
-        play_episode(unknown, env, PlannerPolicy.make("promp", "Placement"))
+        play_episode(unknown, env, policy, lists=tmp_path)
+
+
+def test_the_command_plays_the_lists_of_a_suite(tmp_path: Path) -> None:
+    cells = [Cell("Placement", "easy"), Cell("Placement", "easy", "shelf")]
+    for cell in cells:
+        episodes = [FrozenEpisode("witness", seed, cell.scene(seed), "smp") for seed in (7, 9)]
+        write_episodes(list_path(cell, tmp_path / "lists"), {}, episodes)
+    out = tmp_path / "out"
+    common = ["run", "--suite", "standard", "--lists", str(tmp_path / "lists"), "--jobs", "1"]
+    own = ["--cells", "Placement_easy", "--methods", "promp", "--episodes", "2", "--out", str(out)]
+    result = CliRunner().invoke(app, [*common, *own])
+    assert result.exit_code == 0, result.output
+    assert "Placement_easy, frozen list" in result.output
+    manifest, rows = read_results(out)
+    assert (manifest.suite, manifest.cells) == ("standard", (cells[0],))
+    assert [(row.seed, row.half) for row in rows] == [(7, "witness"), (9, "witness")]
+    assert not list(out.glob("*.png"))
 
 
 def test_rows_say_what_the_plan_says(rollouts: dict[str, PlayedEpisode]) -> None:
@@ -115,14 +139,14 @@ def test_the_command_from_start_to_end(tmp_path: Path) -> None:
     for name in (
         "episodes.csv",
         "summary.json",
-        "scene_Placement_smp.png",
-        "scene_Placement_promp.png",
-        "episode_Placement_smp.mp4",
-        "episode_Placement_promp.mp4",
+        "scene_Placement_easy_smp.png",
+        "scene_Placement_easy_promp.png",
+        "episode_Placement_easy_smp.mp4",
+        "episode_Placement_easy_promp.mp4",
     ):
         assert (tmp_path / "two" / name).stat().st_size > 0
         assert name in output.replace("\n", "")
-    with imageio.get_reader(tmp_path / "two" / "episode_Placement_smp.mp4") as reader:
+    with imageio.get_reader(tmp_path / "two" / "episode_Placement_easy_smp.mp4") as reader:
         assert reader.count_frames() > 60
     summary = json.loads((tmp_path / "two" / "summary.json").read_text())
     assert summary["map"]["inside_occupied"] >= 0.99

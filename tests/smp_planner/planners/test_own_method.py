@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.suites import Cell
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.manifest import make_manifest, read_results
 from smp_planner.benchmark.runner import run
@@ -20,6 +21,7 @@ from smp_planner.planners.registry import resolve
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 SPEC = "straight=my_planner:StraightLine"
+NONE = Cell("Placement", "none")
 
 
 @pytest.fixture
@@ -83,7 +85,7 @@ def test_it_runs_and_a_changed_file_is_not_mixed_with_its_rows(module, tmp_path)
 def test_an_installed_method_is_listed_and_runs_by_its_name(installed, tmp_path):
     assert "straight" in CliRunner().invoke(app, ["list"]).output
     assert "my_planner" not in sys.modules
-    made = make_manifest(["Placement"], ["straight"], "none", 3, 1)
+    made = make_manifest([NONE], ["straight"], 3, 1)
     assert made.specs == {"straight": "straight"}
     assert made.method_codes == {"straight": resolve("straight").digest}
     assert PlannerPolicy.make("straight", "Placement").planner.samples == 100
@@ -137,7 +139,7 @@ def test_a_taken_name_of_an_installed_method_and_a_double_one_are_refused(instal
         resolve(SPEC)
     twice = ["a=my_planner:StraightLine"] * 2
     with pytest.raises(ValueError, match="each method once"):
-        make_manifest(["Placement"], twice, "none", 0, 1)
+        make_manifest([NONE], twice, 0, 1)
 
 
 def test_a_factory_that_makes_no_planner_is_refused(module):
@@ -148,7 +150,7 @@ def test_a_factory_that_makes_no_planner_is_refused(module):
 
 def test_a_broken_method_is_an_error_of_the_run(module, tmp_path):
     module.write_text(module.read_text().replace("problem.goals[0]", "problem.aims[0]"))
-    manifest = make_manifest(["Placement"], [SPEC], "none", 0, 1)
+    manifest = make_manifest([NONE], [SPEC], 0, 1)
     with pytest.raises(RuntimeError, match="no attribute 'aims'"):
         run(manifest, tmp_path / "results")
 
