@@ -100,7 +100,7 @@ class _Approach(Query):
     begin: FloatArray = field(default_factory=lambda: np.zeros(6))
 
     @property
-    def release(self) -> FloatArray:  # type: ignore[override]
+    def release(self) -> FloatArray:
         """(6,) rad, where the insertion begins."""
         return self.begin
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.scene import Obstacle
 
 __all__ = ["FURNITURE", "Passage", "draw_furniture"]
@@ -91,9 +91,9 @@ class Passage:
     slack: float
     side: int
 
-    def _between(self, front: float, back: float) -> FloatArray:
+    def _between(self, front: float, back: float) -> BoolArray:
         x = self.centers[:, 0]
-        return (x + self.radius > front) & (x - self.radius < back)
+        return np.asarray((x + self.radius > front) & (x - self.radius < back))
 
     def ceiling(self, front: float, back: float) -> float:
         """Return the lowest height of something above the spheres between two x."""
