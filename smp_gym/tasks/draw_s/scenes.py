@@ -25,13 +25,8 @@ from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.moving_body import MovingBody
-from smp_gym.sampling.obstacles import (
-    BASE_DISTANCE,
-    HALF_EXTENTS,
-    SHAPE_SHARES,
-    START_CLEARANCE,
-)
-from smp_gym.sampling.specification import SPECIFICATIONS
+from smp_gym.sampling.obstacles import HALF_EXTENTS, SHAPE_SHARES
+from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.sampling.witness import is_witness, within_limits
 from smp_gym.scene import SHAPES, TABLE, Goal
 from smp_gym.tasks.draw_s import rules as draw_s
@@ -46,7 +41,19 @@ from smp_gym.tasks.draw_s.stroke_trajectories import (
     tip_path,
 )
 
-__all__ = ["SAMPLER"]
+__all__ = ["SAMPLER", "SPECIFICATIONS"]
+
+SPECIFICATIONS = {
+    "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
+    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=1.0),
+    "medium": DifficultySpecification(obstacles=4, on_table=0, clearance=0.030, free_share=1.0),
+    "hard": DifficultySpecification(obstacles=6, on_table=0, clearance=0.020, free_share=1.0),
+}
+"""Number of obstacles on and beside a stroke, and the clearance of a witness, by difficulty."""
+
+_BASE_DISTANCE = 0.35
+_START_CLEARANCE = 0.05
+"""m, least distance of obstacles to the axis of the base, and to the robot at the start."""
 
 _BUMPS = {"easy": 2, "medium": 3, "hard": 3}
 """Bumps of a witness by difficulty."""
@@ -111,13 +118,13 @@ def _draw_rows(
     away = aside * (rng.uniform(size=count) * size.min(axis=1))[:, None]
     position = stroke.line[at] - away + spread * rng.standard_normal((count, 3))
     rows = np.column_stack([shape, position, np.cos(yaw), np.sin(yaw), size])
-    kept = np.hypot(position[:, 0], position[:, 1]) >= BASE_DISTANCE
+    kept = np.hypot(position[:, 0], position[:, 1]) >= _BASE_DISTANCE
     kept &= position[:, 2] >= size[:, 2]
     rows = rows[kept]
     ends = kernels.point_distances(stroke.checkpoints[[0, -1]], rows)
     rows = rows[ends.min(axis=1) >= _END_DISTANCE]
-    clear = body.clearances(stroke.trajectory[:1], rows, START_CLEARANCE)
-    return rows[clear >= START_CLEARANCE]
+    clear = body.clearances(stroke.trajectory[:1], rows, _START_CLEARANCE)
+    return rows[clear >= _START_CLEARANCE]
 
 
 def _draw_on_stroke(
@@ -335,7 +342,7 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     numbers = [*range(bumps), -1]
     bump = np.repeat(numbers, [len(part) for part in (*parts, beside)])
     # Every trajectory ends where this one does.
-    clear = body.clearances(stroke.trajectory[-1:], rows, START_CLEARANCE) >= START_CLEARANCE
+    clear = body.clearances(stroke.trajectory[-1:], rows, _START_CLEARANCE) >= _START_CLEARANCE
     rows, bump = rows[clear], bump[clear]
     blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _COMPARED_TRAJECTORIES)
     covers = _covered(stroke, rows)

@@ -22,6 +22,7 @@ from smp_gym.scene import (
     fixtures,
 )
 from smp_gym.tasks import Status
+from smp_gym.tasks.common import POTENTIAL_PER_METRE
 from smp_gym.tasks.double_sided_placement.rules import (
     HELD_OBJECT_POSE,
     NOMINAL_PADS,
@@ -102,8 +103,8 @@ def test_goals_are_judged_in_any_shape_as_one_by_one():
     shape = (5, 8)
     places = np.array([LEFT, RIGHT])[rng.integers(2, size=shape)]
     places = places + rng.uniform(-0.09, 0.09, (*shape, 3)) * (1.0, 1.0, 0.1)
-    achieved = np.concatenate([places, places, rng.integers(0, 2, (*shape, 3))], axis=-1)
-    achieved[..., 7:] = rng.random((*shape, 2)) < 0.9
+    achieved = np.concatenate([places, places, rng.integers(0, 2, (*shape, 4))], axis=-1)
+    achieved[..., 7:] = rng.random((*shape, 3)) < 0.9
     desired = np.broadcast_to(DESIRED, achieved.shape)
     success, potential = TASK.success(achieved, desired), TASK.potential(achieved, desired)
     assert success.shape == potential.shape == shape
@@ -111,7 +112,7 @@ def test_goals_are_judged_in_any_shape_as_one_by_one():
     for index in np.ndindex(*shape):
         assert success[index] == TASK.success(achieved[index], DESIRED)
         distances = [np.sqrt(((places[index] - place) ** 2).sum()) for place in (LEFT, RIGHT)]
-        assert potential[index] == pytest.approx(-20.0 * min(distances))
+        assert potential[index] == pytest.approx(-POTENTIAL_PER_METRE * min(distances))
 
 
 def test_the_achieved_goal_is_reached_by_itself():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.datasets import lasa
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.env import ManipulationEnv
+from smp_gym.env import FAILURE_REWARD, ManipulationEnv
 from smp_gym.observation import MAX_EPISODE_STEPS, decode, encode_desired_goal
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, JOINT_VELOCITY, PEN_RADIUS, PEN_TIP
@@ -284,7 +284,7 @@ def test_the_pen_collides_like_any_part_of_the_hand(env):
         if terminated:
             break
     assert info["collision"] == ("obstacle_0", "pen")
-    assert reward == -100.0
+    assert reward == FAILURE_REWARD
 
 
 def test_the_hand_holds_on_whatever_the_gripper_does(env):

@@ -7,6 +7,7 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
 from smp_gym.robot.inverse_kernels import reach_points, reach_pose
 from smp_gym.sampling import place_without_witness, sample_with_witness
+from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.tasks.push_lift_box.leg_obstacles import GrowingBodies, grown
 from smp_gym.tasks.push_lift_box.legs import Leg, Members
 from smp_gym.tasks.push_lift_box.rules import START_CONFIGURATION, push_poses
@@ -237,4 +238,4 @@ def test_without_a_witness_the_mean_way_is_blocked_and_what_all_share_is_free(
             clearance(way[[end, -1]], scene.obstacles, spheres, 0),
         ]
         assert min(depth) < -0.01
-        assert min(ends) > 0.049
+        assert min(ends) > START_CLEARANCE - 0.001

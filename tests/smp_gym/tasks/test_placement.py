@@ -13,6 +13,7 @@ from smp_gym.scene import (
     Scene,
 )
 from smp_gym.tasks import Status, make_task
+from smp_gym.tasks.common import POTENTIAL_PER_METRE
 from smp_gym.tasks.placement.rules import (
     BIN_LOWER,
     BIN_UPPER,
@@ -69,7 +70,7 @@ def test_goals_are_judged_in_any_shape_as_one_by_one():
     achieved = np.concatenate(
         [
             PLACE + rng.uniform(-0.12, 0.12, (*shape, 3)),
-            rng.integers(0, 2, (*shape, 3)),
+            rng.integers(0, 2, (*shape, 4)),
         ],
         axis=-1,
     )
@@ -81,7 +82,7 @@ def test_goals_are_judged_in_any_shape_as_one_by_one():
         assert success[index] == TASK.success(achieved[index], DESIRED)
         assert collided[index] == (achieved[index][3] == 1.0)
         distance = np.sqrt(((achieved[index][:3] - PLACE) ** 2).sum())
-        assert potential[index] == pytest.approx(-20.0 * distance)
+        assert potential[index] == pytest.approx(-POTENTIAL_PER_METRE * distance)
 
 
 def status(contacts=(), held=False, calm_steps=0, collided=False):

@@ -6,7 +6,7 @@ import pybullet
 import pytest
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.env import ManipulationEnv
+from smp_gym.env import FAILURE_REWARD, ManipulationEnv
 from smp_gym.observation import CONTROL_PERIOD, decode
 from smp_gym.robot.kinematics import JOINT_VELOCITY, end_effector_pose, inverse_kinematics
 from smp_gym.rollout import play
@@ -199,7 +199,7 @@ def test_collision_of_the_hand_with_the_table(env):
             break
     assert info["collided"]
     assert "table" in info["collision"]
-    assert reward == -100.0
+    assert reward == FAILURE_REWARD
 
 
 @pytest.mark.parametrize("difficulty", ["none", *BLOCKED])

@@ -10,13 +10,13 @@ from smp_gym.robot import kinematics
 from smp_gym.robot.pen import pen_path
 from smp_gym.rollout import play
 from smp_gym.sampling import (
-    SPECIFICATIONS,
     place_without_witness,
     sample_scene,
     sample_with_witness,
 )
 from smp_gym.scene import DIFFICULTIES, STROKE_POINTS, Scene
 from smp_gym.tasks.draw_s.rules import covered
+from smp_gym.tasks.draw_s.scenes import SPECIFICATIONS
 from smp_gym.tasks.draw_s.stroke_trajectories import SCALE, drawing_body, sample_stroke, tip_path
 from smp_gym.tasks.draw_s.strokes import follow, moved
 
