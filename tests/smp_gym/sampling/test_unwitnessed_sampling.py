@@ -6,10 +6,13 @@ import pytest
 from smp_gym.env import ManipulationEnv
 from smp_gym.robot import kinematics
 from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
+from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.transfer import carry, release_configuration
 from smp_gym.tasks.placement.scenes import demonstrated_transfer
+from smp_gym.tasks.push_lift_box.scenes import CROWDS
 
 CROWDED = ("easy", "medium", "hard")
+easy, medium, hard = (SPECIFICATIONS[difficulty].obstacles for difficulty in CROWDED)
 
 
 @pytest.mark.parametrize("difficulty", CROWDED)
@@ -59,14 +62,18 @@ def test_the_mean_is_blocked_and_its_ends_are_free(difficulty):
         gaps = np.min([distances(centers, o) for o in scene.obstacles], axis=0)
         gaps = (gaps - data.spheres.radius).min(axis=1)
         assert gaps.min() < -0.015
-        assert gaps[[0, -1]].min() > 0.049
+        assert gaps[[0, -1]].min() > START_CLEARANCE - 0.001
         env = ManipulationEnv()
         env.reset(options={"scene": scene})
         env.close()
 
 
 @pytest.mark.parametrize(
-    ("task", "counts"), [("DoubleSidedPlacement", (4, 8, 7)), ("PushLiftBox", (2, 4, 6))]
+    ("task", "counts"),
+    [
+        ("DoubleSidedPlacement", [2 * easy, 2 * medium, hard + 1]),
+        ("PushLiftBox", [CROWDS[difficulty][1] for difficulty in CROWDED]),
+    ],
 )
 def test_every_task_gives_playable_scenes_that_are_functions_of_their_seed(task, counts):
     env = ManipulationEnv(task)
