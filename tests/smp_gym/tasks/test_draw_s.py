@@ -19,6 +19,7 @@ from smp_gym.rollout import play
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle
 from smp_gym.tasks import make_task
+from smp_gym.tasks.common import POTENTIAL_PER_METRE
 from smp_gym.tasks.draw_s.rules import (
     CHECKPOINT_TOLERANCE,
     COVERED_DISTANCE,
@@ -200,9 +201,9 @@ def test_what_was_drawn_is_reached_as_a_goal_at_every_moment():
 def test_the_potential_grows_all_along_the_stroke_to_zero():
     fine = np.linspace(LINE[0], LINE[-1], 60)
     values = [TASK.potential(goal(equal_arc(fine[:k])), goal(LINE)) for k in range(1, 61)]
-    assert values[0] == pytest.approx(-20 * np.linalg.norm(LINE[-1] - LINE[0]), rel=0.1)
+    assert values[0] == pytest.approx(-POTENTIAL_PER_METRE * np.linalg.norm(LINE[-1] - LINE[0]), rel=0.1)
     assert values[-1] == pytest.approx(0.0, abs=1e-9)
-    assert (np.diff(values) > -20 * CHECKPOINT_TOLERANCE).all()
+    assert (np.diff(values) > -POTENTIAL_PER_METRE * CHECKPOINT_TOLERANCE).all()
 
 
 @pytest.mark.parametrize(
