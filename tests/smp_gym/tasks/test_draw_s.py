@@ -201,7 +201,9 @@ def test_what_was_drawn_is_reached_as_a_goal_at_every_moment():
 def test_the_potential_grows_all_along_the_stroke_to_zero():
     fine = np.linspace(LINE[0], LINE[-1], 60)
     values = [TASK.potential(goal(equal_arc(fine[:k])), goal(LINE)) for k in range(1, 61)]
-    assert values[0] == pytest.approx(-POTENTIAL_PER_METRE * np.linalg.norm(LINE[-1] - LINE[0]), rel=0.1)
+    assert values[0] == pytest.approx(
+        -POTENTIAL_PER_METRE * np.linalg.norm(LINE[-1] - LINE[0]), rel=0.1
+    )
     assert values[-1] == pytest.approx(0.0, abs=1e-9)
     assert (np.diff(values) > -POTENTIAL_PER_METRE * CHECKPOINT_TOLERANCE).all()
 
