@@ -43,7 +43,9 @@ def continued(env, moves):
 
 def begin(env, seed, moves):
     env.reset(seed=seed)
-    env.reset(options={"scene": sample_scene("Placement", "hard", seed)})
+    # Scenes with obstacles end in collisions, those without in a drop.
+    difficulty = "hard" if seed % 2 else "none"
+    env.reset(options={"scene": sample_scene("Placement", difficulty, seed)})
     for action in moves:
         env.step(action)
 
