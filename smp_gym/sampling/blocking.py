@@ -7,7 +7,7 @@ as the family does: no one detour gets through many of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -36,21 +36,18 @@ candidates for a witness, and of choices made from them in each round."""
 _PARENTS = 24
 """Number of the candidates that have children, others that resemble them."""
 
-_GLANCE = 8
-"""Every so-many-th sample of a witness is looked at first."""
-
 _NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
 
 
-def _choices(
+def _choose(
     query: Query,
     specification: DifficultySpecification,
     family: Family,
     others: FloatArray,
     useful: Callable[[FloatArray], BoolArray],
     rng: np.random.Generator,
-) -> Iterator[FloatArray]:
-    """Yield choices of obstacles that block the mean and enough of proposals and wider detours.
+) -> FloatArray | None:
+    """Return (M, 9) obstacles that block the mean and enough of proposals and wider detours.
 
     Args:
         query: which transfer to which goal.
@@ -60,12 +57,11 @@ def _choices(
         useful: returns which of obstacles (C, 9) may be chosen.
         rng: source of all randomness.
 
-    Yields:
-        (M, 9) rows.
+    Returns:
+        (M, 9) rows; None if none were found.
     """
     if not specification.obstacles:
-        yield _NO_ROWS
-        return
+        return _NO_ROWS
     already = family.blocked(others).sum(axis=0)
     candidates = Candidates.none(family)
     free = family.free & (already == 0)
@@ -87,10 +83,10 @@ def _choices(
                 and share <= specification.free_share
                 and wide_share <= specification.wide_share
             ):
-                yield candidates.rows[choice]
-                break
+                return candidates.rows[choice]
             if known:
                 break
+    return None
 
 
 def block_around_witness(
@@ -137,9 +133,6 @@ def _enclose(
     able = np.flatnonzero(family.able & ~family.near(others, clearance).any(axis=0))
     bodies = fixture_rows(query.goals)
 
-    def clear(trajectory: FloatArray, rows: FloatArray) -> BoolArray:
-        return np.asarray(transfer.clearances(trajectory, rows, clearance) >= clearance)
-
     for index in rng.permutation(able)[:_MAX_WITNESSES]:
         witness = member(transfer, family, int(index))
         if not is_witness(transfer, witness, bodies, others, clearance):
@@ -147,14 +140,12 @@ def _enclose(
         kept = [witness] if earlier is None else [witness, earlier]
 
         def useful(rows: FloatArray, kept: list[FloatArray] = kept) -> BoolArray:
-            may: BoolArray = np.asarray(apart(rows, others).all(axis=1))
-            for trajectory in kept:
-                # A glance at few samples spares the close look at most.
-                for samples in (trajectory[::_GLANCE], trajectory):
-                    may[may] = clear(samples, rows[may])
-            return may
+            beside: BoolArray = np.asarray(apart(rows, others).all(axis=1))
+            beside[beside] = transfer.kept_clear(kept, rows[beside], clearance)
+            return beside
 
-        for rows in _choices(query, specification, family, others, useful, rng):
+        rows = _choose(query, specification, family, others, useful, rng)
+        if rows is not None:
             together = np.concatenate([others, rows])
             return Draw(transfer.start, query.goals, together, kept[-1])
     return None
@@ -188,6 +179,5 @@ def block(
         clear = transfer.clearances(end, rows, START_CLEARANCE) >= START_CLEARANCE
         return np.asarray(clear & apart(rows, others).all(axis=1))
 
-    for rows in _choices(query, specification, family, others, useful, rng):
-        return np.concatenate([others, rows])
-    return None
+    rows = _choose(query, specification, family, others, useful, rng)
+    return None if rows is None else np.concatenate([others, rows])

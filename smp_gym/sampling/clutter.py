@@ -77,9 +77,7 @@ that is near it while it is free."""
 
 _FAMILIES = 3
 _WITNESSES = 4
-_GLANCE = 8
-"""Numbers of families tried for a goal, and of members of each tried as the witness; every
-so-many-th sample of the witness is looked at first."""
+"""Numbers of families tried for a goal, and of members of each tried as the witness."""
 
 _GRID_DEPTH = BLOCKING_DEPTH + 0.01
 _HAND_LINK = 5
@@ -173,9 +171,7 @@ def _fill(
         rows, first, hangs = _draw_stacks(_near_hand(query, family, weight >= 1.0, rng), rng)
         counts = np.diff(first, append=len(rows))
         good = fits(query, rows) & ~_overlap(rows, np.concatenate([others, chosen])).any(axis=1)
-        for witness in witnesses:
-            for samples in (witness[::_GLANCE], witness):
-                good[good] = transfer.clearances(samples, rows[good], clearance) >= clearance
+        good[good] = transfer.kept_clear(witnesses, rows[good], clearance)
         possible = np.logical_and.reduceat(good, first)
         blocks = np.logical_or.reduceat(family.near(rows, -_GRID_DEPTH), first)
         goal = round(share * specification.solids)

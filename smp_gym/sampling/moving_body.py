@@ -8,13 +8,16 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.robot.forward_kernels import sphere_paths
 from smp_gym.sampling import kernels
 
 __all__ = ["MovingBody"]
 _Body = TypeVar("_Body", bound="MovingBody")
+
+_GLANCE = 8
+"""Every so-many-th sample of a trajectory is looked at first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,17 @@ class MovingBody:
             flat, kinematics.BASE_TRANSFORM, kinematics.JOINT_ORIGINS, link, center
         )
         return centers.reshape(*trajectories.shape[:-1], len(link), 3)
+
+    def kept_clear(
+        self, trajectories: list[FloatArray], rows: FloatArray, clearance: float
+    ) -> BoolArray:
+        """Return a mask (M,) of obstacles that keep a clearance (m) from trajectories (T, 6)."""
+        clear = np.ones(len(rows), np.bool_)
+        for trajectory in trajectories:
+            # A glance at few samples spares the close look at most.
+            for samples in (trajectory[::_GLANCE], trajectory):
+                clear[clear] = self.clearances(samples, rows[clear], clearance) >= clearance
+        return clear
 
     def clearances(self, trajectory: FloatArray, rows: FloatArray, enough: float) -> FloatArray:
         """Return the distance (M,) m of obstacles to a trajectory (T, 6), at most `enough`."""

@@ -4,8 +4,8 @@ Rays are cast in the physics world. All bodies hide what is behind them, but onl
 obstacles are kept: table, arm, goals and object are known. Then the errors come:
 
 - along each ray, normal with a standard deviation that grows with the square of the distance, as
-  measured for structured light (Khoshelham & Elberink 2012, Eq. (9) ff.: 1.425e-5 Z^2, Z in cm, so
-  2 mm at 1.2 m and 3.6 cm at 5 m; Nguyen et al. 2012 find 2.4 mm at 1.2 m);
+  measured for structured light (Khoshelham & Elberink 2012: about 1.425e-5 Z^2, Z in cm, so
+  2 mm at 1.2 m and 3.6 cm at 5 m);
 - of the points, a share is lost in patches, as where a surface shines, is dark, or is hidden;
 - of what is left, at most `CLOUD_POINTS` are kept, spread evenly (farthest point sampling).
 """

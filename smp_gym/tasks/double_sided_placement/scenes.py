@@ -110,8 +110,16 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
         return None
     if other is not None:
         return block_around_witness(second, other, rng, drawn)
+    return _closed_off(drawn, first, second, one.clearance, rng)
+
+
+def _closed_off(
+    drawn: Draw, first: Query, second: Query, clearance: float, rng: np.random.Generator
+) -> Draw | None:
+    """Close off the second pad of what was drawn for the first; None if the witness comes near."""
+    assert drawn.witness is not None
     rows = _stopper(second.goal, rng)
-    enough = max(one.clearance, START_CLEARANCE)
+    enough = max(clearance, START_CLEARANCE)
     if first.transfer.clearances(drawn.witness, rows, 1.0).min() < enough:
         return None
     return replace(drawn, rows=np.concatenate([drawn.rows, rows]))
@@ -183,12 +191,8 @@ def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     drawn = block_around_witness(first, one, rng)
     if drawn is None or drawn.witness is None:
         return None
-    rows = _stopper(second.goal, rng)
-    enough = max(one.clearance, START_CLEARANCE)
-    if first.transfer.clearances(drawn.witness, rows, 1.0).min() < enough:
-        return None
-    drawn = replace(drawn, rows=np.concatenate([drawn.rows, rows]))
-    return displaced(first, drawn, difficulty, rng)
+    closed = _closed_off(drawn, first, second, one.clearance, rng)
+    return displaced(first, closed, difficulty, rng)
 
 
 SAMPLER = SceneSampler(

@@ -25,7 +25,6 @@ from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.moving_body import MovingBody
-from smp_gym.sampling.obstacles import HALF_EXTENTS, SHAPE_SHARES
 from smp_gym.sampling.specification import DifficultySpecification
 from smp_gym.sampling.witness import is_witness, within_limits
 from smp_gym.scene import SHAPES, TABLE, Goal
@@ -50,6 +49,10 @@ SPECIFICATIONS = {
     "hard": DifficultySpecification(obstacles=6, on_table=0, clearance=0.020, free_share=1.0),
 }
 """Number of obstacles on and beside a stroke, and the clearance of a witness, by difficulty."""
+
+_HALF_EXTENTS = (0.03, 0.06)
+_SHAPE_SHARES = (0.5, 0.3, 0.2)
+"""Range of the half-extents of obstacles, m, and shares of `SHAPES`."""
 
 _BASE_DISTANCE = 0.35
 _START_CLEARANCE = 0.05
@@ -109,8 +112,8 @@ def _draw_rows(
     """
     count = len(phase)
     at = np.rint(phase * (len(stroke.line) - 1)).astype(np.int64)
-    shape = rng.choice(len(SHAPE_SHARES), size=count, p=SHAPE_SHARES)
-    size = rng.uniform(*HALF_EXTENTS, size=(count, 3))
+    shape = rng.choice(len(_SHAPE_SHARES), size=count, p=_SHAPE_SHARES)
+    size = rng.uniform(*_HALF_EXTENTS, size=(count, 3))
     box, ball = SHAPES.index("box"), SHAPES.index("sphere")
     size[shape != box, 1] = size[shape != box, 0]
     size[shape == ball, 2] = size[shape == ball, 0]
