@@ -7,7 +7,8 @@ as the family does: no one detour gets through many of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,11 +19,13 @@ from smp_gym.sampling.candidates import Candidates
 from smp_gym.sampling.choice import apart, choose
 from smp_gym.sampling.conversion import fixture_rows
 from smp_gym.sampling.draws import Draw
-from smp_gym.sampling.family import Family, draw_family, member
-from smp_gym.sampling.obstacles import START_CLEARANCE, draw_candidates, vary
+from smp_gym.sampling.family import Family, draw_family, member, with_neighbours
+from smp_gym.sampling.grid import GRID_SHAPE, points, within
+from smp_gym.sampling.obstacles import START_CLEARANCE, draw_candidates, fits, fitted, vary
 from smp_gym.sampling.specification import DifficultySpecification
-from smp_gym.sampling.transfer import Query, carry
+from smp_gym.sampling.transfer import Query, Transfer, carry
 from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
+from smp_gym.scene import SHAPES
 
 __all__ = ["block", "block_around_witness"]
 
@@ -34,7 +37,18 @@ _MAX_CHOICES = 6
 candidates for a witness, and of choices made from them in each round."""
 
 _PARENTS = 24
-"""Number of the candidates that have children, others that resemble them."""
+_GENERATIONS = 2
+"""Number of the candidates that have children, others that resemble them but are larger, and how
+many times in a round."""
+
+_HOPELESS = 0.25
+"""Share of the proposals that no candidate blocks, from which on no choice is looked for."""
+
+_UNBLOCKED = 0.03
+_LEAST_HALF = 0.025
+_MAX_LOOKED_AT = 30
+"""Largest share of the proposals that pass no point where an obstacle of this half width (m) could
+stand beside a witness, and number of members looked at for one."""
 
 _NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
 
@@ -64,19 +78,32 @@ def _choose(
         return _NO_ROWS
     already = family.blocked(others).sum(axis=0)
     candidates = Candidates.none(family)
-    free = family.free & (already == 0)
+    start = family.free & (already == 0)
+    free = start
+
+    def add(rows: FloatArray) -> BoolArray:
+        """Add candidates; return which members none of all blocks."""
+        nonlocal candidates
+        candidates = candidates.joined(Candidates.guessed(family, fitted(query, rows, useful)))
+        return np.asarray(start & ~candidates.blocks.any(axis=0))
+
     for _ in range(_MAX_ROUNDS):
         # What is left free after a choice shows where obstacles are missing.
-        pool = draw_candidates(query, family, free, rng)
-        candidates = candidates.joined(Candidates.guessed(family, pool[useful(pool)]))
-        pool = vary(query, candidates.most_blocking(_PARENTS), rng)
-        candidates = candidates.joined(Candidates.guessed(family, pool[useful(pool)]))
+        left = add(draw_candidates(query, family, free, rng))
+        if family.shares(left)[0] > _HOPELESS:
+            return None
+        left = add(draw_candidates(query, family, left, rng))
+        for _ in range(_GENERATIONS):
+            left = add(vary(candidates.most_blocking(_PARENTS), rng))
+        share, wide_share = family.shares(left)
+        if share > specification.free_share or wide_share > specification.wide_share:
+            return None
         for _ in range(_MAX_CHOICES):
             choice = choose(candidates.rows, candidates.blocks, already, specification)
             if choice is None:
                 break
             known = candidates.check(family, choice)
-            free = family.free & (already == 0) & ~candidates.blocks[choice].any(axis=0)
+            free = start & ~candidates.blocks[choice].any(axis=0)
             share, wide_share = family.shares(free)
             if (
                 not free[0]
@@ -90,65 +117,120 @@ def _choose(
 
 
 def block_around_witness(
-    query: Query,
-    specification: DifficultySpecification,
-    rng: np.random.Generator,
-    before: Draw | None = None,
+    queries: Sequence[Query], specification: DifficultySpecification, rng: np.random.Generator
 ) -> Draw | None:
-    """Draw a witness, and obstacles between start and goal; None if they do not fit together.
+    """Draw a witness for each query and obstacles around it; None if they do not fit together.
 
     Args:
-        query: which transfer to which goal.
-        specification: of these obstacles.
+        queries: transfers from one start to different goals.
+        specification: of the obstacles in the way of each.
         rng: source of all randomness.
-        before: what was drawn for another goal: its witness stays one, and its obstacles are in the
-            result, too.
+
+    Returns:
+        A draw whose witness is that of the first query.
 
     Raises:
-        UnreachableError: the goal is out of reach.
+        UnreachableError: a goal is out of reach.
     """
     crowd = specification.obstacles > 0
-    counts = (query.transfer.proposals, query.transfer.wide) if crowd else (0, 0)
-    if before is None:
-        rows = draw_wall(rng) if crowd else _NO_ROWS
-        before = Draw(query.transfer.start, query.goals, rows)
+    wall = draw_wall(rng) if crowd else _NO_ROWS
+    start, goals = queries[0].transfer.start, queries[0].goals
     for _ in range(_MAX_FAMILIES if crowd else 1):
-        family = draw_family(query, *counts, rng)
-        drawn = _enclose(query, specification, family, rng, before)
-        if drawn is not None:
-            return drawn
+        families = [
+            draw_family(query, *(query.transfer.counts if crowd else (0, 0)), rng)
+            for query in queries
+        ]
+        for _ in range(_MAX_WITNESSES):
+            witnesses = _draw_witnesses(queries, families, wall, specification, rng)
+            if witnesses is None:
+                break
+            rows = _enclose(queries, families, witnesses, wall, specification, rng)
+            if rows is not None:
+                return Draw(start, goals, rows, witnesses[0].trajectory)
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Witness:
+    """The member `index` of a family as a feasible reference trajectory, (W, 6) rad."""
+
+    index: int
+    trajectory: FloatArray
+
+
+def _draw_witnesses(
+    queries: Sequence[Query],
+    families: Sequence[Family],
+    others: FloatArray,
+    specification: DifficultySpecification,
+    rng: np.random.Generator,
+) -> list[_Witness] | None:
+    """Draw a member of each family that is clear of others (K, 9), and lets the rest be blocked."""
+    crowd, clearance = specification.obstacles > 0, specification.clearance
+    places = np.ones(GRID_SHAPE, np.bool_)
+    for query in queries:
+        places &= _places(query)
+    found: list[_Witness] = []
+    for number, (query, family) in enumerate(zip(queries, families, strict=True)):
+        able = family.able & ~family.near(others, clearance).any(axis=0)
+        if crowd:
+            # The proposals shall be blocked.
+            able[: family.proposals] = False
+        for index in rng.permutation(np.flatnonzero(able))[:_MAX_LOOKED_AT]:
+            left = places & ~within(family.paths[index], family.radius, clearance + _LEAST_HALF)
+            if crowd and any(
+                earlier.shares(earlier.free & ~earlier.passing(left))[0] > _UNBLOCKED
+                for earlier in families[: number + 1]
+            ):
+                continue
+            trajectory = member(query.transfer, family, int(index))
+            bodies = fixture_rows(query.goals)
+            if is_witness(query.transfer, trajectory, bodies, others, clearance):
+                found.append(_Witness(int(index), trajectory))
+                places = left
+                break
+        else:
+            return None
+    return found
+
+
+def _places(query: Query) -> BoolArray:
+    """Return which points of the grid (X, Y, Z) a small obstacle may stand at."""
+    centers = points()
+    rows = np.zeros((len(centers), kernels.OBSTACLE_COLUMNS))
+    rows[:, 0], rows[:, 1:4] = SHAPES.index("sphere"), centers
+    rows[:, 4], rows[:, 6:] = 1.0, _LEAST_HALF
+    return fits(query, rows).reshape(GRID_SHAPE)
 
 
 def _enclose(
-    query: Query,
+    queries: Sequence[Query],
+    families: Sequence[Family],
+    witnesses: Sequence[_Witness],
+    others: FloatArray,
     specification: DifficultySpecification,
-    family: Family,
     rng: np.random.Generator,
-    before: Draw,
-) -> Draw | None:
-    """Draw a witness out of a family and obstacles around it; None if too much stays free."""
-    transfer, clearance = query.transfer, specification.clearance
-    others, earlier = before.rows, before.witness
-    able = np.flatnonzero(family.able & ~family.near(others, clearance).any(axis=0))
-    bodies = fixture_rows(query.goals)
+) -> FloatArray | None:
+    """Return others (K, 9) and obstacles around witnesses, (M, 9); None if too much stays free."""
+    kept = [witness.trajectory for witness in witnesses]
+    together = others
+    for query, family, witness in zip(queries, families, witnesses, strict=True):
+        transfer = query.transfer
 
-    for index in rng.permutation(able)[:_MAX_WITNESSES]:
-        witness = member(transfer, family, int(index))
-        if not is_witness(transfer, witness, bodies, others, clearance):
-            continue
-        kept = [witness] if earlier is None else [witness, earlier]
-
-        def useful(rows: FloatArray, kept: list[FloatArray] = kept) -> BoolArray:
-            beside: BoolArray = np.asarray(apart(rows, others).all(axis=1))
-            beside[beside] = transfer.kept_clear(kept, rows[beside], clearance)
+        def useful(
+            rows: FloatArray, transfer: Transfer = transfer, together: FloatArray = together
+        ) -> BoolArray:
+            beside: BoolArray = np.asarray(apart(rows, together).all(axis=1))
+            beside[beside] = transfer.kept_clear(kept, rows[beside], specification.clearance)
             return beside
 
-        rows = _choose(query, specification, family, others, useful, rng)
-        if rows is not None:
-            together = np.concatenate([others, rows])
-            return Draw(transfer.start, query.goals, together, kept[-1])
-    return None
+        if specification.obstacles:
+            family = with_neighbours(transfer, family, witness.index, rng)
+        rows = _choose(query, specification, family, together, useful, rng)
+        if rows is None:
+            return None
+        together = np.concatenate([together, rows])
+    return together
 
 
 def block(

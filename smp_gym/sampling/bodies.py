@@ -1,8 +1,8 @@
-"""Bodies of a workplace that stand, hang or lie across: posts, ducts, beams, panels, lamps.
+"""Bodies of a workplace that stand, hang or lie across: posts, ducts, beams, boards, panels, lamps.
 
 Each is a row of `smp_gym.sampling.kernels`. A post stands on the table, a duct hangs from above, a
-panel does one or the other and is thin, a beam lies level, a lamp is a ball in the air. So what is
-in the way may be below, above, beside or across, and no one height gets past all of them.
+panel does one or the other and is thin, beams and boards lie level, a lamp is a ball in the air. So
+what is in the way may be below, above, beside or across, and no one height gets past all of them.
 """
 
 from __future__ import annotations
@@ -13,21 +13,22 @@ from numpy.typing import NDArray
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.scene import SHAPES
 
-__all__ = ["CEILING", "draw_bodies", "draw_wall", "hanging", "standing", "vary_bodies"]
+__all__ = ["CEILING", "draw_bodies", "draw_wall", "hanging", "shrunk", "standing", "vary_bodies"]
 
 CEILING = 1.0
 """m, where what hangs begins: above all that the arm reaches in front of it."""
 
-_KINDS = ("post", "duct", "standing panel", "hanging panel", "beam", "lamp")
-_SHARES = (0.26, 0.26, 0.12, 0.12, 0.16, 0.08)
+_KINDS = ("post", "duct", "standing panel", "hanging panel", "beam", "board", "lamp")
+_SHARES = (0.2, 0.2, 0.15, 0.15, 0.12, 0.14, 0.04)
 _ROUND_SHARE = 0.4
 """Shares of the kinds, and of posts and ducts that are cylinders."""
 
 _POST = (0.03, 0.07)
 _PANEL_THICKNESS = (0.010, 0.015)
-_PANEL_WIDTH = (0.07, 0.16)
+_PANEL_WIDTH = (0.07, 0.25)
 _BEAM_SECTION = (0.012, 0.03)
-_BEAM_LENGTH = (0.10, 0.28)
+_BEAM_LENGTH = (0.15, 0.40)
+_BOARD_WIDTH = (0.08, 0.22)
 _LAMP = (0.04, 0.07)
 """Half-extents and radii, m."""
 
@@ -43,9 +44,17 @@ _PAST = (-0.01, 0.14)
 
 _LEAST_HEIGHT = 0.03
 _SHIFT = 0.02
-_GROWTH = 0.3
-"""Least half height of a post or duct, standard deviation of a child's shift (m), and by how much
-of its size at most it is wider."""
+_GROWTH = 0.8
+_LARGEST = (0.10, 0.40)
+"""Least half height of a post or duct, standard deviation of a child's shift (m), by how much
+of its size at most it is wider, and the half-extents up to which the smaller and the larger of its
+sides grow (m)."""
+
+_SHRINKING = 0.7
+_LOWERING = 0.03
+_SLIMMEST = 0.02
+"""How a body is made smaller: factor of its width, m less in height, m that it does not fall below.
+"""
 
 _BOX, _CYLINDER, _BALL = (SHAPES.index(name) for name in ("box", "cylinder", "sphere"))
 
@@ -84,6 +93,9 @@ def draw_bodies(points: FloatArray, radius: FloatArray, rng: np.random.Generator
     size[panel, 0], size[panel, 1] = sizes(_PANEL_THICKNESS)[panel], sizes(_PANEL_WIDTH)[panel]
     section = sizes(_BEAM_SECTION)
     size[beam] = np.stack([sizes(_BEAM_LENGTH), section, section], axis=1)[beam]
+    board = of("board")
+    flat = np.stack([sizes(_BOARD_WIDTH), sizes(_BOARD_WIDTH), sizes(_PANEL_THICKNESS)], axis=1)
+    size[board] = flat[board]
     size[lamp] = sizes(_LAMP)[lamp, None]
     size[cylinder, 1] = size[cylinder, 0]
     yaw = rng.uniform(-np.pi, np.pi, size=count)
@@ -123,8 +135,8 @@ def vary_bodies(rows: FloatArray, count: int, rng: np.random.Generator) -> Float
     children[:, 1:4] += shift
     wider = 1.0 + _GROWTH * rng.uniform(size=(len(children), 2))
     box = children[:, 0] == _BOX
-    children[:, 6] *= wider[:, 0]
-    children[:, 7] = np.where(box, children[:, 7] * wider[:, 1], children[:, 6])
+    children[:, 6:8] = _grown(children[:, 6:8], wider)
+    children[:, 7] = np.where(box, children[:, 7], children[:, 6])
     children[:, 8] = np.where(children[:, 0] == _BALL, children[:, 6], children[:, 8])
     turn = rng.normal(0.0, 0.3, len(children))
     cosine, sine = children[:, 4].copy(), children[:, 5].copy()
@@ -133,6 +145,25 @@ def vary_bodies(rows: FloatArray, count: int, rng: np.random.Generator) -> Float
     _reach_up(children, stands, top + shift[:, 2])
     _reach_down(children, hangs, bottom + shift[:, 2])
     return children
+
+
+def shrunk(rows: FloatArray) -> FloatArray:
+    """Return bodies (C, 9) like the given, but slimmer, and less high or less deep."""
+    rows = rows.copy()
+    stands, hangs = standing(rows), hanging(rows)
+    top, bottom = rows[:, 3] + rows[:, 8], rows[:, 3] - rows[:, 8]
+    rows[:, 6:8] = np.maximum(_SHRINKING * rows[:, 6:8], np.minimum(rows[:, 6:8], _SLIMMEST))
+    rows[:, 8] = np.where(rows[:, 0] == _BALL, rows[:, 6], rows[:, 8])
+    _reach_up(rows, stands, top - _LOWERING)
+    _reach_down(rows, hangs, bottom + _LOWERING)
+    return rows
+
+
+def _grown(sides: FloatArray, factor: FloatArray) -> FloatArray:
+    """Return half-extents (C, 2) m times factors (C, 2), thin sides thin and none too large."""
+    thin = sides < 2.0 * _PANEL_THICKNESS[1]
+    largest = np.where(sides > _LARGEST[0], _LARGEST[1], np.maximum(sides, _LARGEST[0]))
+    return np.where(thin, sides, np.minimum(sides * factor, largest))
 
 
 def _reach_up(rows: FloatArray, which: BoolArray, top: FloatArray) -> None:

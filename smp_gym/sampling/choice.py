@@ -22,7 +22,9 @@ _PAIRED = 128
 """Number of the most blocking candidates that are compared in pairs."""
 
 REPEATED = 0.1
-"""Value of blocking a proposal again, for each obstacle that blocks it already."""
+_TIMES = 3
+"""Value of blocking a trajectory again, for each obstacle that blocks it already, and the number of
+those from which on it has none."""
 
 _SWEEPS = 2
 """Times that each of the chosen is compared with all others in its place."""
@@ -75,8 +77,8 @@ def choose(
     chosen = _choose(
         np.ascontiguousarray(rows[order]),
         widths(rows)[order],
-        blocks[order],
-        already,
+        packed(blocks[order]),
+        packed(already == np.arange(_TIMES)[:, None]),
         specification.obstacles,
         specification.on_table,
     )
@@ -127,26 +129,32 @@ def _best_at(
     chosen: NDArray[np.int64],
     rows: FloatArray,
     width: FloatArray,
-    blocks: BoolArray,
-    already: NDArray[np.int64],
+    blocks: NDArray[np.uint64],
+    already: NDArray[np.uint64],
     on_table: bool,
 ) -> int:
     """Return the best candidate for a slot beside the other chosen, -1 if none fits there."""
+    # The trajectories that nothing blocks, that one obstacle does, and so on.
     times = already.copy()
-    mean = already[0] > 0
     for s in range(len(chosen)):
         if s != slot and chosen[s] >= 0:
-            times += blocks[chosen[s]]
-            mean = mean or blocks[chosen[s], 0]
-    weight = REPEATED**times
+            for v in range(times.shape[1]):
+                word = blocks[chosen[s], v]
+                for k in range(len(times) - 1, 0, -1):
+                    times[k, v] = (times[k, v] & ~word) | (times[k - 1, v] & word)
+                times[0, v] &= ~word
+    mean = not times[0, 0] & np.uint64(1)
     best, worth = -1, -1.0
     for m in range(len(rows)):
-        if (on_table and rows[m, 3] != rows[m, 8]) or not (mean or blocks[m, 0]):
+        if (on_table and rows[m, 3] != rows[m, 8]) or not (mean or blocks[m, 0] & np.uint64(1)):
             continue
-        value = 0.0
-        for n in range(blocks.shape[1]):
-            if blocks[m, n]:
-                value += weight[n]
+        value, weight = 0.0, 1.0
+        for k in range(len(times)):
+            count = np.int64(0)
+            for v in range(times.shape[1]):
+                count += ones(blocks[m, v] & times[k, v])
+            value += weight * count
+            weight *= REPEATED
         if value <= worth:
             continue
         fits = True
@@ -162,17 +170,18 @@ def _best_at(
 def _choose(
     rows: FloatArray,
     width: FloatArray,
-    blocks: BoolArray,
-    already: NDArray[np.int64],
+    blocks: NDArray[np.uint64],
+    already: NDArray[np.uint64],
     count: int,
     on_table: int,
 ) -> NDArray[np.int64]:
     """Return the (count,) indices of the chosen, the first -1 if there are too few."""
     chosen = np.full(count, -1)
     if count - on_table >= 2:
-        new = blocks[:_PAIRED] & (already == 0)
-        new[:, 0] |= already[0] > 0
-        pair = _best_pair(rows, width, packed(new))
+        new = blocks[:_PAIRED] & already[0]
+        if not already[0, 0] & np.uint64(1):
+            new[:, 0] |= np.uint64(1)
+        pair = _best_pair(rows, width, new)
         if pair[0] < 0:
             return chosen
         chosen[0], chosen[1] = pair

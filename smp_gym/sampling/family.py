@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,12 @@ from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.detours import HARMONICS, detour_basis, detours
-from smp_gym.sampling.grid import Grid, near, rasterise
+from smp_gym.sampling.grid import Grid, near, passing, rasterise
 from smp_gym.sampling.transfer import Query, Transfer, carry
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
 from smp_gym.scene import goal_boxes
 
-__all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member"]
+__all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member", "with_neighbours"]
 
 
 BLOCKING_DEPTH = 0.015
@@ -32,6 +32,12 @@ still, but of the lowest harmonics only, such as going high over everything or d
 to the base: what a policy could do that is blind to obstacles."""
 
 
+_NEIGHBOURS = 64
+_BESIDE = 0.35
+"""Number of trajectories beside a reference trajectory, and their distance from it in units of the
+ordinary width."""
+
+
 @dataclass(frozen=True, eq=False)
 class Family:
     """Trajectories for one goal: mean of the carried demonstrations, these, and their detours.
@@ -42,8 +48,9 @@ class Family:
         numbers: (M, F, 6) standard normal numbers, times the width, of the detours.
         paths: (N, T, S, 3) m, centres of the swept spheres; N = 1 + demonstrations + M.
         radius: (S,) m.
-        grid: which members pass which grid points.
+        grids: which members pass which grid points: grids, and how many members each is of.
         proposals: how many, from the first, a primitive would propose.
+        wide: how many, after them, are wider detours.
         free: (N,) whether table and goals leave a member free.
         able: (N,) whether a member may serve as witness, as far as seen from these samples.
     """
@@ -53,14 +60,21 @@ class Family:
     numbers: FloatArray
     paths: FloatArray
     radius: FloatArray
-    grid: Grid
+    grids: tuple[tuple[Grid, int], ...]
     proposals: int
+    wide: int
     free: BoolArray
     able: BoolArray
 
     def near(self, rows: FloatArray, distance: float) -> BoolArray:
         """Return a mask (C, N) of members that come within a distance (m) of obstacles."""
-        return near(self.grid, rows, distance, len(self.paths))
+        return np.concatenate(
+            [near(grid, rows, distance, members) for grid, members in self.grids], axis=1
+        )
+
+    def passing(self, cells: BoolArray) -> BoolArray:
+        """Return a mask (N,) of members that pass some of the grid's points (X, Y, Z)."""
+        return np.concatenate([passing(grid, cells, members) for grid, members in self.grids])
 
     def blocked(self, rows: FloatArray) -> BoolArray:
         """Return a mask (C, N) of members that obstacles block, checked without the grid."""
@@ -71,10 +85,10 @@ class Family:
 
         Without wider detours their share is 0.
         """
-        wide = self.free[self.proposals :].sum()
+        proposed, wide = slice(self.proposals), slice(self.proposals, self.proposals + self.wide)
         return (
-            float(free[: self.proposals].sum() / max(1, self.free[: self.proposals].sum())),
-            float(free[self.proposals :].sum() / max(1, wide)),
+            float(free[proposed].sum() / max(1, self.free[proposed].sum())),
+            float(free[wide].sum() / max(1, self.free[wide].sum())),
         )
 
 
@@ -121,10 +135,36 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
         numbers=numbers,
         paths=paths,
         radius=radius,
-        grid=rasterise(paths, radius),
+        grids=((rasterise(paths, radius), len(paths)),),
         proposals=1 + demonstrations + proposals,
+        wide=wide,
         free=clearance > -BLOCKING_DEPTH,
         able=able,
+    )
+
+
+def with_neighbours(
+    transfer: Transfer, family: Family, index: int, rng: np.random.Generator
+) -> Family:
+    """Return a family with trajectories beside one of its detours: they fill the gap around it.
+
+    Args:
+        transfer: of the family.
+        family: of trajectories.
+        index: of the member, a detour.
+        rng: source of all randomness.
+    """
+    detour = index - 1 - len(transfer.demonstrations)
+    aside = _BESIDE * rng.standard_normal((_NEIGHBOURS, *family.numbers.shape[1:]))
+    carried = carry(transfer, family.configuration, transfer.samples)[family.base[detour]]
+    trajectories = carried + detours(family.numbers[detour] + aside, transfer.samples)
+    paths = transfer.paths(trajectories, transfer.swept)
+    return replace(
+        family,
+        paths=np.concatenate([family.paths, paths]),
+        grids=(*family.grids, (rasterise(paths, family.radius), len(paths))),
+        free=np.append(family.free, np.ones(len(paths), np.bool_)),
+        able=np.append(family.able, np.zeros(len(paths), np.bool_)),
     )
 
 

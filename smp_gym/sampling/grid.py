@@ -18,11 +18,11 @@ from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import kernel
 from smp_gym.sampling.kernels import point_distance
 
-__all__ = ["Grid", "near", "rasterise"]
+__all__ = ["GRID_SHAPE", "Grid", "near", "passing", "points", "rasterise", "within"]
 
 _FIRST_POINT = np.array([0.04, -0.76, 0.0])
 _SPACING = 0.04
-_SHAPE = (24, 39, 26)
+GRID_SHAPE = (24, 39, 26)
 """First point (m), spacing (m) and numbers of points: all that the arm can reach with its hand in
 front of it."""
 
@@ -48,7 +48,8 @@ def rasterise(paths: FloatArray, radius: FloatArray) -> Grid:
     large = radius >= _SMALL
     means = [radius[kind].mean() if kind.any() else -1.0 for kind in (~large, large)]
     return Grid(
-        _set_bits(paths, large.astype(np.int64), _FIRST_POINT, _SPACING, _SHAPE), np.array(means)
+        _set_bits(paths, large.astype(np.int64), _FIRST_POINT, _SPACING, GRID_SHAPE),
+        np.array(means),
     )
 
 
@@ -56,6 +57,54 @@ def near(grid: Grid, rows: FloatArray, distance: float, members: int) -> BoolArr
     """Return a mask (C, members) of paths of a grid within a distance (m) of obstacles."""
     reach = np.where(grid.radius < 0.0, -np.inf, grid.radius + distance)
     return _collect(grid.words, reach, rows, _FIRST_POINT, _SPACING, members)
+
+
+def points() -> FloatArray:
+    """Return the (X * Y * Z, 3) m points of the grid."""
+    axes = [
+        first + _SPACING * np.arange(n) for first, n in zip(_FIRST_POINT, GRID_SHAPE, strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def within(path: FloatArray, radius: FloatArray, distance: float) -> BoolArray:
+    """Return a mask (X, Y, Z) of points within a distance (m) of spheres on a path (T, S, 3)."""
+    return _within(path, radius + distance, _FIRST_POINT, _SPACING, GRID_SHAPE)
+
+
+def passing(grid: Grid, cells: BoolArray, members: int) -> BoolArray:
+    """Return a mask (members,) of paths that pass some of the grid's points, given as (X, Y, Z)."""
+    words = np.bitwise_or.reduce(grid.words[:, cells], axis=(0, 1))
+    flags = np.unpackbits(words.view(np.uint8), bitorder="little")[:members]
+    return flags.astype(np.bool_)
+
+
+@kernel
+def _within(
+    path: FloatArray,
+    reach: FloatArray,
+    origin: FloatArray,
+    spacing: float,
+    shape: tuple[int, int, int],
+) -> BoolArray:
+    out = np.zeros(shape, np.bool_)
+    low = np.zeros(3, np.int64)
+    high = np.zeros(3, np.int64)
+    for t in range(path.shape[0]):
+        for s in range(path.shape[1]):
+            for axis in range(3):
+                middle = path[t, s, axis] - origin[axis]
+                low[axis] = max(0, math.ceil((middle - reach[s]) / spacing))
+                high[axis] = min(shape[axis], math.floor((middle + reach[s]) / spacing) + 1)
+            for i in range(low[0], high[0]):
+                dx = origin[0] + i * spacing - path[t, s, 0]
+                for j in range(low[1], high[1]):
+                    dy = origin[1] + j * spacing - path[t, s, 1]
+                    for k in range(low[2], high[2]):
+                        dz = origin[2] + k * spacing - path[t, s, 2]
+                        if dx * dx + dy * dy + dz * dz <= reach[s] * reach[s]:
+                            out[i, j, k] = True
+    return out
 
 
 @kernel

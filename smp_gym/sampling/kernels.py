@@ -71,6 +71,38 @@ def _apart(dx: float, dy: float, dz: float, obstacle: Array, reach: float) -> bo
     return flat < 0.0 or dx * dx + dy * dy > flat * flat
 
 
+_GROUP = 7
+"""Spheres that follow one another and are looked at through a common box first."""
+
+
+@kernel
+def _group_boxes(centers: Array, radius: Array) -> Array:
+    """Return boxes around groups of spheres on a path (T, S, 3): lowest, highest x, y, z."""
+    samples, spheres, _ = centers.shape
+    boxes = np.empty((samples, (spheres + _GROUP - 1) // _GROUP, 6))
+    boxes[:, :, :3], boxes[:, :, 3:] = np.inf, -np.inf
+    for t in range(samples):
+        for s in range(spheres):
+            box = boxes[t, s // _GROUP]
+            for axis in range(3):
+                reach = max(0.0, radius[s])
+                box[axis] = min(box[axis], centers[t, s, axis] - reach)
+                box[3 + axis] = max(box[3 + axis], centers[t, s, axis] + reach)
+    return boxes
+
+
+@kernel
+def _box_apart(box: Array, obstacle: Array, reach: float) -> bool:
+    """Return whether a box is surely farther than `reach`, not negative, from an obstacle."""
+    above = max(box[2] - obstacle[3], obstacle[3] - box[5])
+    if above - obstacle[8] > reach:
+        return True
+    flat = math.sqrt(obstacle[6] * obstacle[6] + obstacle[7] * obstacle[7]) + reach
+    dx = max(0.0, box[0] - obstacle[1], obstacle[1] - box[3])
+    dy = max(0.0, box[1] - obstacle[2], obstacle[2] - box[4])
+    return dx * dx + dy * dy > flat * flat
+
+
 @kernel
 def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: float) -> Array:
     """Return the least distance between spheres on a path and each obstacle.
@@ -85,37 +117,44 @@ def path_clearances(centers: Array, radius: Array, obstacles: Array, enough: flo
         (M,), negative where they overlap.
     """
     out = np.full(len(obstacles), enough)
+    boxes = _group_boxes(centers, radius)
     for m in range(len(obstacles)):
         obstacle = obstacles[m]
         for t in range(centers.shape[0]):
-            for s in range(centers.shape[1]):
-                dx = centers[t, s, 0] - obstacle[1]
-                dy = centers[t, s, 1] - obstacle[2]
-                dz = centers[t, s, 2] - obstacle[3]
-                if _apart(dx, dy, dz, obstacle, out[m] + radius[s]):
+            for g in range(boxes.shape[1]):
+                if _box_apart(boxes[t, g], obstacle, max(0.0, out[m])):
                     continue
-                distance = point_distance(
-                    centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
-                )
-                out[m] = min(out[m], distance - radius[s])
+                for s in range(g * _GROUP, min((g + 1) * _GROUP, centers.shape[1])):
+                    dx = centers[t, s, 0] - obstacle[1]
+                    dy = centers[t, s, 1] - obstacle[2]
+                    dz = centers[t, s, 2] - obstacle[3]
+                    if _apart(dx, dy, dz, obstacle, out[m] + radius[s]):
+                        continue
+                    distance = point_distance(
+                        centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
+                    )
+                    out[m] = min(out[m], distance - radius[s])
     return out
 
 
 @kernel
-def _blocked(centers: Array, radius: Array, obstacle: Array, depth: float) -> bool:
-    """Return whether an obstacle reaches `depth` deep into a path's spheres."""
+def _meets(centers: Array, radius: Array, boxes: Array, obstacle: Array) -> bool:
+    """Return whether an obstacle meets a path's spheres, of which groups lie in boxes."""
     for t in range(centers.shape[0]):
-        for s in range(centers.shape[1] - 1, -1, -1):
-            dx = centers[t, s, 0] - obstacle[1]
-            dy = centers[t, s, 1] - obstacle[2]
-            dz = centers[t, s, 2] - obstacle[3]
-            if _apart(dx, dy, dz, obstacle, radius[s] - depth):
+        for g in range(boxes.shape[1] - 1, -1, -1):
+            if _box_apart(boxes[t, g], obstacle, 0.0):
                 continue
-            distance = point_distance(
-                centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
-            )
-            if distance <= radius[s] - depth:
-                return True
+            for s in range(g * _GROUP, min((g + 1) * _GROUP, centers.shape[1])):
+                dx = centers[t, s, 0] - obstacle[1]
+                dy = centers[t, s, 1] - obstacle[2]
+                dz = centers[t, s, 2] - obstacle[3]
+                if _apart(dx, dy, dz, obstacle, radius[s]):
+                    continue
+                distance = point_distance(
+                    centers[t, s, 0], centers[t, s, 1], centers[t, s, 2], obstacle
+                )
+                if distance <= radius[s]:
+                    return True
     return False
 
 
@@ -137,9 +176,13 @@ def blocked_paths(
         (M, N).
     """
     out = np.zeros((len(obstacles), len(centers)), np.bool_)
-    for m in range(len(obstacles)):
-        for n in range(len(centers)):
-            out[m, n] = _blocked(centers[n], radius, obstacles[m], depth)
+    if len(obstacles) == 0:
+        return out
+    inner = radius - depth
+    for n in range(len(centers)):
+        boxes = _group_boxes(centers[n], inner)
+        for m in range(len(obstacles)):
+            out[m, n] = _meets(centers[n], inner, boxes, obstacles[m])
     return out
 
 

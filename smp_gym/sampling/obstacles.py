@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
-from smp_gym.sampling.bodies import draw_bodies, vary_bodies
+from smp_gym.sampling.bodies import draw_bodies, shrunk, vary_bodies
 from smp_gym.sampling.choice import widths
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.family import Family
@@ -32,6 +34,9 @@ START_CLEARANCE = 0.02
 _CANDIDATES = 300
 """Number of obstacles drawn to choose from."""
 
+_SHRINKINGS = 3
+"""How many times an obstacle that does not fit is made smaller."""
+
 _CHILDREN = 150
 """Number of children of the obstacles that block most."""
 
@@ -51,13 +56,29 @@ def draw_candidates(
     hand = np.flatnonzero(transfer.spheres.link[transfer.swept] >= _HAND_LINK)
     sphere = hand[rng.integers(len(hand), size=count)]
     rows = draw_bodies(family.paths[member, sample, sphere], family.radius[sphere], rng)
-    return rows[fits(query, rows)]
+    return rows
 
 
-def vary(query: Query, rows: FloatArray, rng: np.random.Generator) -> FloatArray:
+def fitted(query: Query, rows: FloatArray, useful: Callable[[FloatArray], BoolArray]) -> FloatArray:
+    """Return those of obstacles that fit and are useful, made smaller where that is needed.
+
+    Args:
+        query: which transfer to which goal.
+        rows: (C, 9).
+        useful: returns which of obstacles (C, 9) may be chosen.
+    """
+    done = []
+    for _ in range(1 + _SHRINKINGS):
+        good = fits(query, rows)
+        good[good] = useful(rows[good])
+        done.append(rows[good])
+        rows = shrunk(rows[~good])
+    return np.concatenate(done)
+
+
+def vary(rows: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return rows of obstacles that resemble the given ones, but are shifted, turned and wider."""
-    children = vary_bodies(rows, _CHILDREN, rng)
-    return children[fits(query, children)]
+    return vary_bodies(rows, _CHILDREN, rng)
 
 
 def fits(query: Query, rows: FloatArray) -> BoolArray:

@@ -31,9 +31,9 @@ class DifficultySpecification:
 
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(2, 0, clearance=0.04, free_share=0.02, wide_share=0.35),
-    "medium": DifficultySpecification(4, 1, clearance=0.02, free_share=0.0, wide_share=0.12),
-    "hard": DifficultySpecification(9, 1, clearance=0.01, free_share=0.0, wide_share=0.01),
+    "easy": DifficultySpecification(5, 0, clearance=0.04, free_share=0.02, wide_share=0.10),
+    "medium": DifficultySpecification(7, 1, clearance=0.02, free_share=0.007, wide_share=0.03),
+    "hard": DifficultySpecification(10, 1, clearance=0.01, free_share=0.007, wide_share=0.015),
 }
 
 CROWDED = tuple(name for name, chosen in SPECIFICATIONS.items() if chosen.obstacles)

@@ -44,6 +44,11 @@ class Transfer(MovingBody):
     proposals: int = 104
     wide: int = 240
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of detours of ordinary width and of wide ones."""
+        return self.proposals, self.wide
+
 
 def make_transfer(
     demonstrations: Demonstrations,

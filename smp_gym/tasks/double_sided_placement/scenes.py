@@ -36,10 +36,9 @@ __all__ = ["SAMPLER", "demonstrated_transfers"]
 _GOAL_CLEARANCE = 0.01
 """m, of obstacles from the pads, sideways."""
 
-_FREE_SHARES = {"none": 1.0, "easy": 0.015, "medium": 0.0, "hard": 0.0}
 _CLOSED = ("hard",)
-"""Share of the proposals for each pad that may stay free, and difficulties at which the other side
-is closed off: its only obstacle stands on the pad and leaves no room there."""
+"""Difficulties at which the other side is closed off: its only obstacle stands on the pad and
+leaves no room there."""
 
 _STOPPER_HALF_EXTENTS = (0.05, 0.06)
 """m, of what stands on a pad that is closed off: between it and the pad's edge no object fits with
@@ -93,7 +92,7 @@ def _specifications(
     difficulty: str,
 ) -> tuple[DifficultySpecification, DifficultySpecification | None]:
     """Return a difficulty's settings for the one and the other side; None if that is closed off."""
-    one = replace(SPECIFICATIONS[difficulty], free_share=_FREE_SHARES[difficulty])
+    one = SPECIFICATIONS[difficulty]
     return one, None if difficulty in _CLOSED else one
 
 
@@ -105,12 +104,10 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """
     first, second = _draw_queries(rng)
     one, other = _specifications(difficulty)
-    drawn = block_around_witness(first, one, rng)
-    if drawn is None or drawn.witness is None:
-        return None
     if other is not None:
-        return block_around_witness(second, other, rng, drawn)
-    return _closed_off(drawn, first, second, one.clearance, rng)
+        return block_around_witness((first, second), one, rng)
+    drawn = block_around_witness((first,), one, rng)
+    return None if drawn is None else _closed_off(drawn, first, second, one.clearance, rng)
 
 
 def _closed_off(
@@ -188,7 +185,7 @@ def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw obstacles on one side that are shifted in mid-episode; the other is closed off."""
     first, second = _draw_queries(rng)
     one, _ = _specifications(difficulty)
-    drawn = block_around_witness(first, one, rng)
+    drawn = block_around_witness((first,), one, rng)
     if drawn is None or drawn.witness is None:
         return None
     closed = _closed_off(drawn, first, second, one.clearance, rng)

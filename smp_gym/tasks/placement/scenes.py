@@ -46,7 +46,7 @@ def _draw_query(rng: np.random.Generator) -> Query:
 
 
 def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
-    return block_around_witness(_draw_query(rng), SPECIFICATIONS[difficulty], rng)
+    return block_around_witness((_draw_query(rng),), SPECIFICATIONS[difficulty], rng)
 
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
@@ -69,7 +69,7 @@ def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
 
 def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     query = _draw_query(rng)
-    drawn = block_around_witness(query, SPECIFICATIONS[difficulty], rng)
+    drawn = block_around_witness((query,), SPECIFICATIONS[difficulty], rng)
     return displaced(query, drawn, difficulty, rng)
 
 
