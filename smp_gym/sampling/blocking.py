@@ -95,8 +95,7 @@ def _choose(
         left = add(draw_candidates(query, family, left, rng))
         for _ in range(_GENERATIONS):
             left = add(vary(candidates.most_blocking(_PARENTS), rng))
-        share, wide_share = family.shares(left)
-        if share > specification.free_share or wide_share > specification.wide_share:
+        if (family.shares(left) > specification.shares).any():
             return None
         for _ in range(_MAX_CHOICES):
             choice = choose(candidates.rows, candidates.blocks, already, specification)
@@ -104,12 +103,7 @@ def _choose(
                 break
             known = candidates.check(family, choice)
             free = start & ~candidates.blocks[choice].any(axis=0)
-            share, wide_share = family.shares(free)
-            if (
-                not free[0]
-                and share <= specification.free_share
-                and wide_share <= specification.wide_share
-            ):
+            if not free[0] and (family.shares(free) <= specification.shares).all():
                 return candidates.rows[choice]
             if known:
                 break
@@ -137,7 +131,7 @@ def block_around_witness(
     start, goals = queries[0].transfer.start, queries[0].goals
     for _ in range(_MAX_FAMILIES if crowd else 1):
         families = [
-            draw_family(query, *(query.transfer.counts if crowd else (0, 0)), rng)
+            draw_family(query, *(query.transfer.counts if crowd else (0, 0)), rng, blind=crowd)
             for query in queries
         ]
         for _ in range(_MAX_WITNESSES):

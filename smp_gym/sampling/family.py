@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling import kernels
+from smp_gym.sampling.blind_detours import detour_functions
 from smp_gym.sampling.conversion import to_solid_row
 from smp_gym.sampling.detours import HARMONICS, detour_basis, detours
 from smp_gym.sampling.grid import Grid, near, passing, rasterise
@@ -38,6 +40,12 @@ _BESIDE = 0.35
 ordinary width."""
 
 
+_BESIDE_BLIND = 4
+_BLIND_WIDTH = 0.12
+"""Number of detours beside each blind one, and standard deviation of their numbers from its (rad).
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class Family:
     """Trajectories for one goal: mean of the carried demonstrations, these, and their detours.
@@ -51,6 +59,7 @@ class Family:
         grids: which members pass which grid points: grids, and how many members each is of.
         proposals: how many, from the first, a primitive would propose.
         wide: how many, after them, are wider detours.
+        blind: how many, after those, are or resemble the transfer's blind detours.
         free: (N,) whether table and goals leave a member free.
         able: (N,) whether a member may serve as witness, as far as seen from these samples.
     """
@@ -63,6 +72,7 @@ class Family:
     grids: tuple[tuple[Grid, int], ...]
     proposals: int
     wide: int
+    blind: int
     free: BoolArray
     able: BoolArray
 
@@ -80,19 +90,23 @@ class Family:
         """Return a mask (C, N) of members that obstacles block, checked without the grid."""
         return kernels.blocked_paths(self.paths, self.radius, rows, BLOCKING_DEPTH)
 
-    def shares(self, free: BoolArray) -> tuple[float, float]:
-        """Return the shares of proposals and of wider detours, free by themselves, still free (N,).
+    def shares(self, free: BoolArray) -> FloatArray:
+        """Return the shares (3,) of proposals, wider and blind detours that are still free (N,).
 
-        Without wider detours their share is 0.
+        Of those that are free by themselves; the share of none is 0.
         """
-        proposed, wide = slice(self.proposals), slice(self.proposals, self.proposals + self.wide)
-        return (
-            float(free[proposed].sum() / max(1, self.free[proposed].sum())),
-            float(free[wide].sum() / max(1, self.free[wide].sum())),
+        ends = np.cumsum([0, self.proposals, self.wide, self.blind])
+        return np.array(
+            [
+                free[low:high].sum() / max(1, self.free[low:high].sum())
+                for low, high in itertools.pairwise(ends)
+            ]
         )
 
 
-def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generator) -> Family:
+def draw_family(
+    query: Query, proposals: int, wide: int, rng: np.random.Generator, blind: bool = False
+) -> Family:
     """Draw the family of a query.
 
     Args:
@@ -100,6 +114,7 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
         proposals: how many detours of ordinary width.
         wide: how many wider ones.
         rng: source of all randomness.
+        blind: whether with the transfer's blind detours.
 
     Raises:
         UnreachableError: the goal is out of reach.
@@ -115,8 +130,9 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
     sweeping *= (np.arange(features) % HARMONICS < _SWEEPING_HARMONICS)[:, None]
     carried = carry(transfer, configuration, transfer.samples)
     mean = carried.mean(axis=0, keepdims=True)
+    known = _draw_blind(transfer, rng) if blind else np.empty((0, *mean.shape[1:]))
     trajectories = np.concatenate(
-        [mean, carried, carried[base] + detours(numbers, transfer.samples)]
+        [mean, carried, carried[base] + detours(numbers, transfer.samples), mean + known]
     )
     paths = transfer.paths(trajectories, transfer.swept)
     radius = transfer.spheres.radius[transfer.swept]
@@ -129,6 +145,7 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
         height, kernels.least_clearances(paths, radius, solids, 1.1 * FIXTURE_CLEARANCE)
     )
     able = (clearance >= FIXTURE_CLEARANCE) & within_limits(trajectories)
+    able[len(able) - len(known) :] = False
     return Family(
         configuration=configuration,
         base=base,
@@ -138,9 +155,18 @@ def draw_family(query: Query, proposals: int, wide: int, rng: np.random.Generato
         grids=((rasterise(paths, radius), len(paths)),),
         proposals=1 + demonstrations + proposals,
         wide=wide,
+        blind=len(known),
         free=clearance > -BLOCKING_DEPTH,
         able=able,
     )
+
+
+def _draw_blind(transfer: Transfer, rng: np.random.Generator) -> FloatArray:
+    """Return (M, T, 6) rad: the transfer's blind detours, and others beside each of them."""
+    numbers = np.repeat(transfer.blind, 1 + _BESIDE_BLIND, axis=0)
+    numbers += _BLIND_WIDTH * rng.standard_normal(numbers.shape)
+    numbers[:: 1 + _BESIDE_BLIND] = transfer.blind
+    return np.einsum("kt,mkj->mtj", detour_functions(transfer.samples), numbers)
 
 
 def with_neighbours(

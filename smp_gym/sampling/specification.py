@@ -20,6 +20,7 @@ class DifficultySpecification:
         clearance: m, what every obstacle leaves between itself and the witness's spheres.
         free_share: share of the proposals that may stay free; where more do, it is drawn anew.
         wide_share: likewise, of the wider detours from which the witness is drawn.
+        blind_share: likewise, of the blind detours.
     """
 
     obstacles: int
@@ -27,13 +28,25 @@ class DifficultySpecification:
     clearance: float
     free_share: float
     wide_share: float = 1.0
+    blind_share: float = 1.0
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """Shares of proposals, wider and blind detours that may stay free."""
+        return self.free_share, self.wide_share, self.blind_share
 
 
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(5, 0, clearance=0.04, free_share=0.02, wide_share=0.10),
-    "medium": DifficultySpecification(7, 1, clearance=0.02, free_share=0.007, wide_share=0.03),
-    "hard": DifficultySpecification(10, 1, clearance=0.01, free_share=0.007, wide_share=0.015),
+    "easy": DifficultySpecification(
+        5, 0, clearance=0.04, free_share=0.02, wide_share=0.10, blind_share=0.5
+    ),
+    "medium": DifficultySpecification(
+        7, 1, clearance=0.02, free_share=0.007, wide_share=0.03, blind_share=0.2
+    ),
+    "hard": DifficultySpecification(
+        10, 1, clearance=0.01, free_share=0.007, wide_share=0.015, blind_share=0.05
+    ),
 }
 
 CROWDED = tuple(name for name, chosen in SPECIFICATIONS.items() if chosen.obstacles)

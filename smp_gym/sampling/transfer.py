@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ class Transfer(MovingBody):
         samples: of each member of a family.
         proposals: how many detours of ordinary width are drawn.
         wide: how many wide ones.
+        blind: (K, F, 6) rad, detours that are the same in every scene, see `blind_detours`.
     """
 
     start: FloatArray
@@ -42,7 +44,8 @@ class Transfer(MovingBody):
     goal_clearance: float
     samples: int = 20
     proposals: int = 104
-    wide: int = 240
+    wide: int = 180
+    blind: FloatArray = field(default_factory=lambda: np.empty((0, 3, 6)))
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -57,7 +60,7 @@ def make_transfer(
     start: Configuration,
     held: FloatArray,
     goal_clearance: float,
-    **counts: int,
+    **counts: Any,
 ) -> Transfer:
     """Return the transfer that demonstrations show.
 
@@ -68,7 +71,7 @@ def make_transfer(
         start: rad.
         held: (4, 4) pose of the held object in the end-effector frame.
         goal_clearance: m, of obstacles from the bodies of goals, sideways.
-        counts: `proposals`, where they differ.
+        counts: `proposals` and `blind`, where they differ.
     """
     shown = demonstrations.configurations[which]
     goals = np.array([scene.goals[goal].position for scene in demonstrations.scenes]).mean(axis=0)

@@ -7,6 +7,7 @@ import functools
 import numpy as np
 
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.sampling.blind_detours import load_blind_detours
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.displaced import displaced
@@ -35,7 +36,13 @@ def demonstrated_transfer() -> Transfer:
     """Return the movement into the bin that the demonstrations show."""
     demonstrations = Demonstrations.load("Placement")
     return make_transfer(
-        demonstrations, slice(None), 0, START_CONFIGURATION, HELD_OBJECT_POSE, _GOAL_CLEARANCE
+        demonstrations,
+        slice(None),
+        0,
+        START_CONFIGURATION,
+        HELD_OBJECT_POSE,
+        _GOAL_CLEARANCE,
+        blind=load_blind_detours("Placement", 0),
     )
 
 

@@ -23,6 +23,7 @@ import torch
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.robot.kinematics import UnreachableError
+from smp_gym.sampling.blind_detours import FUNCTIONS, detour_functions
 from smp_planner.collision.verification import minimum_duration, within_joint_limits
 from smp_planner.experiments.controls.posed_scenes import primitive_of
 from smp_planner.experiments.controls.sampled_clearance import sampled_clearance
@@ -41,9 +42,6 @@ __all__ = [
     "detours_free",
     "learn_detour",
 ]
-
-FUNCTIONS = 3
-"""Smooth functions of the phase, for each joint."""
 
 _SAMPLES = 200
 _STRIDE = 5
@@ -118,17 +116,9 @@ class Detour:
     validated: float
 
 
-def _functions(samples: int) -> FloatArray:
-    """Return (3, T): sin(pi s) sin(k pi s), of greatest value 1; value and slope vanish at ends."""
-    phase = np.linspace(0.0, 1.0, samples)
-    order = np.arange(1, FUNCTIONS + 1)[:, None]
-    functions = np.sin(np.pi * phase) * np.sin(np.pi * order * phase)
-    return np.asarray(functions / np.abs(functions).max(axis=1, keepdims=True))
-
-
 def _directions(prior: ProMP, posterior: ProMP) -> FloatArray:
     """Return (F, T, 6) rad: what (I - K H) leaves of each function in each joint."""
-    functions = torch.from_numpy(_functions(_SAMPLES))
+    functions = torch.from_numpy(detour_functions(_SAMPLES))
     values = prior.basis.values(torch.linspace(0.0, 1.0, _SAMPLES, dtype=torch.float64))
     weights = torch.linalg.lstsq(values, functions.mT).solution.mT
     joints = torch.eye(prior.dimension, dtype=torch.float64)
