@@ -6,7 +6,7 @@ import pytest
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import SphereSet, box_spheres, concatenate, finger_spheres
 from smp_gym.sampling import sample_scene
-from smp_gym.scene import BIN_HEIGHT, fixtures
+from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.problem import arm_problem
@@ -89,10 +89,42 @@ def placement(held, region):
     return make
 
 
+def _column(x, y, height, radius):
+    """A cylinder that stands on the table."""
+    size = (radius, radius, height / 2)
+    return Obstacle(shape="cylinder", position=(x, y, height / 2), size=size)
+
+
 @pytest.fixture(scope="session")
-def crowded():
-    """A scene of Placement."""
-    return sample_scene("Placement", "hard", 3)
+def columns():
+    """Two columns and a ball above them, across the demonstrated movement of Placement.
+
+    They stop all but one in a hundred draws of the primitive, wherever the bin stands, and leave
+    free what turns off to the side or lifts over them.
+    """
+    ball = Obstacle(shape="sphere", position=(0.6, 0.0, 0.53), size=(0.05,) * 3)
+    return _column(0.55, -0.1, 0.44, 0.08), _column(0.56, 0.08, 0.36, 0.07), ball
+
+
+@pytest.fixture(scope="session")
+def blocked(columns):
+    """Return a function that draws a bin of Placement and sets the columns before it."""
+
+    def make(seed):
+        empty = sample_scene("Placement", "none", seed)
+        return empty.model_copy(update={"obstacles": columns})
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def crowded(blocked):
+    """A scene of Placement, with bodies beside and behind the arm besides the columns."""
+    scene = blocked(3)
+    pillar = Obstacle(shape="box", position=(0.2, -0.45, 0.25), size=(0.03, 0.03, 0.25))
+    beam = Obstacle(shape="box", position=(0.1, 0.5, 0.6), size=(0.2, 0.03, 0.03))
+    ball = Obstacle(shape="sphere", position=(-0.35, 0.1, 0.6), size=(0.08,) * 3)
+    return scene.model_copy(update={"obstacles": (*scene.obstacles, pillar, beam, ball)})
 
 
 @pytest.fixture(scope="session")

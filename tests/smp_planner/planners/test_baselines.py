@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from smp_gym.observation import decode
-from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
 from smp_planner.planners import make_planner
 from smp_planner.planning.constraints import Reaching
@@ -22,8 +21,8 @@ SEEDS = (0, 1, 2)
 
 
 @pytest.fixture(scope="module")
-def problems(placement):
-    return [placement(sample_scene("Placement", "medium", seed), seed=seed) for seed in SEEDS]
+def problems(placement, blocked):
+    return [placement(blocked(seed), seed=seed) for seed in SEEDS]
 
 
 @pytest.fixture(scope="module")
