@@ -11,8 +11,7 @@ from smp_gym.robot.kinematics import (
     finger_spheres,
     sphere_centers,
 )
-from smp_gym.sampling import sample_scene
-from smp_gym.scene import Obstacle, fixtures
+from smp_gym.scene import Obstacle
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model, jaco_of_spheres
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE, check_collisions
@@ -54,14 +53,9 @@ def test_without_obstacles_all_is_free(pointer):
 
 
 @pytest.fixture(scope="module")
-def arm():
-    scene = sample_scene("Placement", "hard", 3)
-    held = np.eye(4)
-    held[0, 3] = 0.022
-    spheres = concatenate(
-        finger_spheres((0.9, 0.9, 0.3, 0.3)), box_spheres((0.025, 0.025, 0.03), held)
-    )
-    return jaco_model(spheres), (*scene.obstacles, *fixtures(scene)), np.array(scene.start)
+def arm(placement, crowded):
+    problem = placement(crowded)
+    return problem.robot, problem.obstacles, problem.start
 
 
 @pytest.fixture(scope="module")
