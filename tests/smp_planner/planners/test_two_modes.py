@@ -21,7 +21,7 @@ def smp():
 
 @pytest.fixture(scope="module")
 def envs():
-    made = {d: gymnasium.make(f"smp_gym/{TASK}-v0", difficulty=d) for d in ("easy", "hard")}
+    made = {d: gymnasium.make(f"smp_gym/{TASK}-v0", difficulty=d) for d in ("none", "easy", "hard")}
     yield made
     for env in made.values():
         env.close()
@@ -78,7 +78,7 @@ def test_with_one_side_closed_off_the_other_is_chosen(smp, envs, seed):
 
 
 def test_the_object_is_let_go_above_the_pad_and_nowhere_else(envs):
-    observation, _ = envs["easy"].reset(seed=4)
+    observation, _ = envs["none"].reset(seed=4)
     decoded = decode(observation, TASK)
     problem = problem_from(decoded, seed=0)
     half = decoded.object.size[2]
