@@ -99,8 +99,8 @@ def _column(x, y, height, radius):
 def columns():
     """Two columns and a ball above them, across the demonstrated movement of Placement.
 
-    They stop all but one in a hundred draws of the primitive, wherever the bin stands, and leave
-    free what turns off to the side or lifts over them.
+    Sizes were tried until they stopped all but one in a hundred draws of the primitive or fewer
+    (400 draws for each of the bins of seeds 0 to 2) and the baselines still found free ones.
     """
     ball = Obstacle(shape="sphere", position=(0.6, 0.0, 0.53), size=(0.05,) * 3)
     return _column(0.55, -0.1, 0.44, 0.08), _column(0.56, 0.08, 0.36, 0.07), ball

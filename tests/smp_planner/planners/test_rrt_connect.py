@@ -61,7 +61,7 @@ def solved(problem, held, plan):
 
 
 def test_every_search_finds_an_executable_trajectory(placement, held, blocked):
-    """Without obstacles and before the columns, wherever the bin stands."""
+    """Without obstacles and before the columns, for twelve places of the bin."""
     single = make_planner("rrt_connect", "Placement", settings={"particles": 1})
     for seed in range(12):
         for scene in (sample_scene("Placement", "none", seed), blocked(seed)):
