@@ -52,13 +52,9 @@ _GRIP_FRICTION = 1.0
 
 
 def set_grip_friction(world: BulletWorld, body: int, link: int) -> None:
-    """Give a link the contact properties that let fingers hold an object by friction alone."""
+    """Give an object's link the friction by which fingers hold it."""
     pybullet.changeDynamics(
-        body,
-        link,
-        lateralFriction=_GRIP_FRICTION,
-        frictionAnchor=1,
-        physicsClientId=world.client,
+        body, link, lateralFriction=_GRIP_FRICTION, physicsClientId=world.client
     )
 
 
@@ -105,7 +101,7 @@ class Jaco:
         self._set_dynamics()
         for joint, angle in zip(self._arm, configuration, strict=True):
             pybullet.resetJointState(self._body, joint, angle, physicsClientId=self._client)
-        self._grips = True
+        self._grips = False
         self.set_reference(configuration, 0.0)
 
     def _exclude_contacts(self) -> None:
@@ -140,8 +136,6 @@ class Jaco:
                 jointDamping=0.0,
                 physicsClientId=self._client,
             )
-        for name in (name for name in HAND_LINKS if name in self._links):
-            set_grip_friction(self._world, self._body, self._links[name])
         # The fingers are driven together: the object stays where the hand closed on it.
         gear = pybullet.createConstraint(
             self._body,
@@ -179,11 +173,14 @@ class Jaco:
         if grips == self._grips:
             return
         self._grips = grips
+        # The engine keeps an anchored point of contact, and the friction that it began with, as
+        # long as it sticks: without its anchors going, too, friction would not go at all.
         for name in (LINKS[6], *FINGER_LINKS):
             pybullet.changeDynamics(
                 self._body,
                 self._links[name],
                 lateralFriction=_GRIP_FRICTION if grips else 0.0,
+                frictionAnchor=int(grips),
                 physicsClientId=self._client,
             )
 

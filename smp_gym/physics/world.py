@@ -158,6 +158,10 @@ class BulletWorld:
         """Switch gravity on or off."""
         pybullet.setGravity(0.0, 0.0, -GRAVITY if on else 0.0, physicsClientId=self.client)
 
+    def set_solver_iterations(self, count: int) -> None:
+        """Set how often the solver goes through joints and contacts in a step, until `clear`."""
+        pybullet.setPhysicsEngineParameter(numSolverIterations=count, physicsClientId=self.client)
+
     def close(self) -> None:
         """End the world; closing again does nothing."""
         self._finalizer()

@@ -18,6 +18,7 @@ from smp_gym.datasets.minari_export import (
     export_demonstrations,
     import_demonstrations,
 )
+from smp_gym.env import SUCCESS_REWARD
 from smp_gym.scene import STROKE_POINTS
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "export_minari.py"
@@ -136,7 +137,7 @@ def test_a_dataset_holds_whole_successful_episodes(dataset, shipped):
             assert episode.observations[key].dtype == space.dtype
         assert episode.actions.shape == (steps, 7)
         assert episode.actions.dtype == np.float32
-        np.testing.assert_array_equal(episode.rewards, [-1.0] * (steps - 1) + [0.0])
+        np.testing.assert_array_equal(episode.rewards, [0.0] * (steps - 1) + [SUCCESS_REWARD])
         np.testing.assert_array_equal(episode.terminations, [False] * (steps - 1) + [True])
         assert not episode.truncations.any()
         np.testing.assert_array_equal(episode.infos["is_success"], [False] * steps + [True])

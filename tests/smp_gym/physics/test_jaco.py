@@ -203,6 +203,37 @@ def test_opening_the_hand_never_keeps_hold_of_the_object():
     env.close()
 
 
+def test_no_friction_acts_between_object_and_hand_that_lets_go():
+    env = ManipulationEnv("Placement", "none")
+    scene = sample_scene("Placement", "none", 0)
+    world = env._cell.world
+    rng = np.random.default_rng(6)
+    touched = 0
+    for _ in range(12):
+        env.reset(options={"scene": scene})
+        arm = env._cell.arm
+        velocity = rng.uniform(-0.5, 0.5, 6)
+        velocity[1] = -abs(velocity[1])  # Upwards in the shoulder, away from the table.
+        for step in range(30):
+            env.step(np.append(velocity * (step < 20), 0.0).astype(np.float32))
+        opening = np.array([0, 0, 0, 0, 0, 0, -rng.uniform(0.4, 1.0)])
+        while arm.squeezes(arm.state()):
+            env.step(opening.astype(np.float32))
+        for _ in range(2):
+            arm.integrate(opening)
+            arm.track()
+            arm.release(arm.state())
+            for _ in range(SUBSTEPS):
+                world.step()
+                points = pybullet.getContactPoints(
+                    world.body(ARM), world.body("object"), physicsClientId=world.client
+                )
+                touched += any(point[9] > 0.0 for point in points)
+                assert all(point[10] == point[12] == 0.0 for point in points)
+    assert touched > 10
+    env.close()
+
+
 def test_the_hand_has_friction_until_it_opens_and_when_it_closes_again(arm):
     body = arm.world.body(ARM)
     hand = [

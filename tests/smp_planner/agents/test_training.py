@@ -16,6 +16,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from typer.testing import CliRunner, Result
 
 from smp_gym.assets import asset_path
+from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_planner.agents.evaluations import evaluate, read_evaluations
 from smp_planner.agents.hyper_parameters import HyperParameters
@@ -121,14 +122,15 @@ def test_hindsight_rewards_are_those_of_the_environment() -> None:
     desired = batch.next_observations["desired_goal"].numpy()
     near = (np.abs(achieved - desired)[:, :3] <= (0.08, 0.08, 0.05)).all(axis=1)
     flags = (achieved[:, 4:] >= desired[:, 4:]).all(axis=1)
-    collided = achieved[:, 3] > 0.5
-    success = near & flags & ~collided
+    collided, released, at_rest, supported = achieved[:, 3:].T > 0.5
+    success = near & flags & ~collided & (supported | ~released)
+    lost = released & at_rest & ~success
     rewards = batch.rewards.numpy()[:, 0]
-    assert success.any()
-    assert not success.all()
-    assert (rewards[success] == 0.0).all()
-    assert (rewards[~success] <= -1.0).all()
-    assert (rewards[collided] == -100.0).all()
+    for outcome in (success, collided, lost, ~success & ~collided & ~lost):
+        assert outcome.any()
+    assert (rewards[success] == SUCCESS_REWARD).all()
+    assert (rewards[collided | lost] == FAILURE_REWARD).all()
+    assert (rewards[~success & ~collided & ~lost] == 0.0).all()
     env.close()
 
 

@@ -47,7 +47,7 @@ def rollouts(env: gym.Env[Any, Any]) -> dict[str, PlayedEpisode]:
 def test_methods_meet_the_scene_of_the_seed(rollouts: dict[str, PlayedEpisode]) -> None:
     scene = sample_scene("Placement", "medium", 5)
     for rollout in rollouts.values():
-        assert len(rollout.scene.obstacles) == len(scene.obstacles) == 4
+        assert len(rollout.scene.obstacles) == len(scene.obstacles) > 0
         for met, drawn in zip(rollout.scene.obstacles, scene.obstacles, strict=True):
             np.testing.assert_allclose(met.position, drawn.position, atol=1e-6)
             np.testing.assert_allclose(met.size, drawn.size, atol=1e-6)
