@@ -30,7 +30,7 @@ from smp_gym.scene import SHAPES
 __all__ = ["block", "block_around_witness"]
 
 _MAX_FAMILIES = 4
-_MAX_WITNESSES = 3
+_MAX_WITNESSES = 6
 _MAX_ROUNDS = 3
 _MAX_CHOICES = 6
 """Numbers of families tried for a goal, of witnesses tried of a family, of rounds that add
@@ -44,9 +44,9 @@ many times in a round."""
 _HOPELESS = 0.25
 """Share of the proposals that no candidate blocks, from which on no choice is looked for."""
 
-_UNBLOCKED = 0.03
-_LEAST_HALF = 0.025
-_MAX_LOOKED_AT = 30
+_UNBLOCKED = 0.0
+_LEAST_HALF = 0.04
+_MAX_LOOKED_AT = 60
 """Largest share of the proposals that pass no point where an obstacle of this half width (m) could
 stand beside a witness, and number of members looked at for one."""
 
@@ -129,13 +129,14 @@ def block_around_witness(
     crowd = specification.obstacles > 0
     wall = draw_wall(rng) if crowd else _NO_ROWS
     start, goals = queries[0].transfer.start, queries[0].goals
+    places = np.logical_and.reduce([_places(query) for query in queries])
     for _ in range(_MAX_FAMILIES if crowd else 1):
         families = [
             draw_family(query, *(query.transfer.counts if crowd else (0, 0)), rng, blind=crowd)
             for query in queries
         ]
         for _ in range(_MAX_WITNESSES):
-            witnesses = _draw_witnesses(queries, families, wall, specification, rng)
+            witnesses = _draw_witnesses(queries, families, wall, places, specification, rng)
             if witnesses is None:
                 break
             rows = _enclose(queries, families, witnesses, wall, specification, rng)
@@ -156,14 +157,15 @@ def _draw_witnesses(
     queries: Sequence[Query],
     families: Sequence[Family],
     others: FloatArray,
+    places: BoolArray,
     specification: DifficultySpecification,
     rng: np.random.Generator,
 ) -> list[_Witness] | None:
-    """Draw a member of each family that is clear of others (K, 9), and lets the rest be blocked."""
+    """Draw a member of each family that is clear of others (K, 9), and lets the rest be blocked.
+
+    By small obstacles at some of the places (X, Y, Z), points of the grid.
+    """
     crowd, clearance = specification.obstacles > 0, specification.clearance
-    places = np.ones(GRID_SHAPE, np.bool_)
-    for query in queries:
-        places &= _places(query)
     found: list[_Witness] = []
     for number, (query, family) in enumerate(zip(queries, families, strict=True)):
         able = family.able & ~family.near(others, clearance).any(axis=0)

@@ -74,9 +74,21 @@ def within(path: FloatArray, radius: FloatArray, distance: float) -> BoolArray:
 
 def passing(grid: Grid, cells: BoolArray, members: int) -> BoolArray:
     """Return a mask (members,) of paths that pass some of the grid's points, given as (X, Y, Z)."""
-    words = np.bitwise_or.reduce(grid.words[:, cells], axis=(0, 1))
+    words = _united(grid.words, cells)
     flags = np.unpackbits(words.view(np.uint8), bitorder="little")[:members]
     return flags.astype(np.bool_)
+
+
+@kernel
+def _united(words: NDArray[np.uint64], cells: BoolArray) -> NDArray[np.uint64]:
+    out = np.zeros(words.shape[4], np.uint64)
+    for i in range(words.shape[1]):
+        for j in range(words.shape[2]):
+            for k in range(words.shape[3]):
+                if cells[i, j, k]:
+                    for w in range(len(out)):
+                        out[w] |= words[0, i, j, k, w] | words[1, i, j, k, w]
+    return out
 
 
 @kernel

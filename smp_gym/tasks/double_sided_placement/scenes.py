@@ -95,7 +95,11 @@ def _specifications(
 ) -> tuple[DifficultySpecification, DifficultySpecification | None]:
     """Return a difficulty's settings for the one and the other side; None if that is closed off."""
     one = SPECIFICATIONS[difficulty]
-    return one, None if difficulty in _CLOSED else one
+    if difficulty in _CLOSED:
+        return one, None
+    # Two open sides are two chances to get through.
+    one = replace(one, free_share=one.free_share / 2.0)
+    return one, one
 
 
 def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:

@@ -44,9 +44,9 @@ __all__ = ["SAMPLER", "SPECIFICATIONS"]
 
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
-    "easy": DifficultySpecification(obstacles=2, on_table=0, clearance=0.040, free_share=1.0),
-    "medium": DifficultySpecification(obstacles=4, on_table=0, clearance=0.030, free_share=1.0),
-    "hard": DifficultySpecification(obstacles=6, on_table=0, clearance=0.020, free_share=1.0),
+    "easy": DifficultySpecification(obstacles=3, on_table=0, clearance=0.040, free_share=1.0),
+    "medium": DifficultySpecification(obstacles=6, on_table=0, clearance=0.020, free_share=1.0),
+    "hard": DifficultySpecification(obstacles=12, on_table=0, clearance=0.010, free_share=1.0),
 }
 """Number of obstacles on and beside a stroke, and the clearance of a witness, by difficulty."""
 
@@ -68,7 +68,7 @@ _COMPARED_TRAJECTORIES = 64
 _ON_STROKE = 48
 _BESIDE = 96
 _OFF_STROKE = (0.015, 0.08)
-_LEAST_ENTRY = 0.015
+_LEAST_ENTRY = 0.025
 """Obstacles to choose from, at each bump on the stroke and beside it; the standard deviation of how
 far the ones and the others stand off it (m), and how deep at least it enters the ones (m)."""
 
