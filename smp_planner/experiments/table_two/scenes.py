@@ -1,4 +1,7 @@
-"""The four scenes of Table II, frozen, and the rule by which they were chosen."""
+"""The four scenes of Table II, frozen, and the rule by which they were chosen.
+
+They were drawn before the difficulties were bound to controls: the sampler no longer draws them.
+"""
 
 from __future__ import annotations
 
