@@ -90,16 +90,11 @@ def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
     return queries if rng.integers(2) == 0 else queries[::-1]
 
 
-def _specifications(
-    difficulty: str,
-) -> tuple[DifficultySpecification, DifficultySpecification | None]:
-    """Return a difficulty's settings for the one and the other side; None if that is closed off."""
+def _specification(difficulty: str) -> DifficultySpecification:
+    """Return a difficulty's settings for each side that is open."""
     one = SPECIFICATIONS[difficulty]
-    if difficulty in _CLOSED:
-        return one, None
     # Two open sides are two chances to get through.
-    one = replace(one, free_share=one.free_share / 2.0)
-    return one, one
+    return one if difficulty in _CLOSED else replace(one, free_share=one.free_share / 2.0)
 
 
 def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
@@ -109,8 +104,8 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     has a witness, too, or is closed off.
     """
     first, second = _draw_queries(rng)
-    one, other = _specifications(difficulty)
-    if other is not None:
+    one = _specification(difficulty)
+    if difficulty not in _CLOSED:
         return block_around_witness((first, second), one, rng)
     drawn = block_around_witness((first,), one, rng)
     return None if drawn is None else _closed_off(drawn, first, second, one.clearance, rng)
@@ -139,14 +134,14 @@ def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     first, second = _draw_queries(rng)
-    one, other = _specifications(difficulty)
+    one = _specification(difficulty)
     rows = block(first, one, rng)
     if rows is None:
         return None
-    if other is None:
+    if difficulty in _CLOSED:
         rows = np.concatenate([rows, _stopper(second.goal, rng)])
     else:
-        rows = block(second, other, rng, rows)
+        rows = block(second, one, rng, rows)
     return None if rows is None else Draw(first.transfer.start, first.goals, rows)
 
 
@@ -190,7 +185,7 @@ def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
 def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw obstacles on one side that are shifted in mid-episode; the other is closed off."""
     first, second = _draw_queries(rng)
-    one, _ = _specifications(difficulty)
+    one = _specification(difficulty)
     drawn = block_around_witness((first,), one, rng)
     if drawn is None or drawn.witness is None:
         return None
