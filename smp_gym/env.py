@@ -14,7 +14,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from smp_gym.arrays import AnyFloatArray
+from smp_gym.arrays import AnyFloatArray, BoolArray
 from smp_gym.control import joint_action
 from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.observation import (
@@ -254,7 +254,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         info = self._info()
         if self.reward == "dense":
             info["previous_achieved_goal"] = previous
-        reward = float(self.compute_reward(self._achieved, observation["desired_goal"], info))
+        failed = self._over and not self._succeeded
+        reward = float(self._rewards(self._achieved, self._desired, self._succeeded, failed, info))
         if self.render_mode == "human":
             self.render()
         return observation, reward, self._over, False, info
@@ -282,12 +283,27 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         collided = self.task.collided(achieved)
         success = self.task.success(achieved, desired)
         failed = collided | self.task.lost(achieved, desired)
+        rewards = self._rewards(achieved, desired, success, failed, info)
+        return float(rewards) if rewards.ndim == 0 else rewards
+
+    def _rewards(
+        self,
+        achieved: AnyFloatArray,
+        desired: AnyFloatArray,
+        success: BoolArray | bool,
+        failed: BoolArray | bool,
+        info: Any,
+    ) -> AnyFloatArray:
+        """Return the rewards (...) of goals (..., G) of which it is known what came of them."""
         rewards = np.where(failed, FAILURE_REWARD, np.where(success, SUCCESS_REWARD, 0.0))
         if self.reward == "dense":
+            achieved, desired = np.asarray(achieved, np.float64), np.asarray(desired, np.float64)
             before = self.task.potential(_previous_goals(info, achieved.shape), desired)
-            after = np.where(failed | success, 0.0, self.task.potential(achieved, desired))
+            after = np.where(
+                np.logical_or(failed, success), 0.0, self.task.potential(achieved, desired)
+            )
             rewards = rewards + SHAPING_DISCOUNT * after - before
-        return float(rewards) if rewards.ndim == 0 else rewards
+        return rewards
 
     def save_state(self) -> EpisodeState:
         """Return the present state, from which the episode can be continued later.
@@ -387,7 +403,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._actions.append(action)
         self._perceive()
         observation = self._observe()
-        self._achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        self._achieved, self._desired = observation["achieved_goal"], observation["desired_goal"]
+        desired = self._desired
         collided = self._cell.collision is not None
         self._succeeded = bool(self.task.success(self._achieved, desired))
         lost = bool(self.task.lost(self._achieved, desired))
