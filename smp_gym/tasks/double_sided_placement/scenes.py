@@ -93,8 +93,10 @@ def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
 def _specification(difficulty: str) -> DifficultySpecification:
     """Return a difficulty's settings for each side that is open."""
     one = SPECIFICATIONS[difficulty]
+    if difficulty in _CLOSED:
+        return one
     # Two open sides are two chances to get through.
-    return one if difficulty in _CLOSED else replace(one, free_share=one.free_share / 2.0)
+    return replace(one, free_share=one.free_share / 2.0, blind_share=one.blind_share / 2.0)
 
 
 def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
