@@ -104,12 +104,15 @@ def test_the_same_problem_gives_the_same_plan_whatever_came_before(smp, scene, p
     assert not np.array_equal(different.trajectories, plan.trajectories)
 
 
-def test_adaptation_is_what_frees_the_particles(smp, scene, plan):
-    control = make_planner("promp", "Placement").plan([problem_of(scene)])[0]
-    assert plan.collision_free.mean() > 0.6
-    assert control.collision_free.mean() == 0.0
+def test_adaptation_is_what_frees_the_particles(smp):
+    """In four unselected scenes on average; of single ones it may free few."""
+    control = make_planner("promp", "Placement")
+    problems = [problem_of(sample_scene("Placement", "medium", seed)) for seed in range(4)]
+    adapted, drawn = smp.plan(problems), control.plan(problems)
+    assert np.mean([plan.collision_free for plan in adapted]) > 0.6
+    assert np.mean([plan.collision_free for plan in drawn]) < 0.02
     # Both come from the same draws of the same primitive, the control's as they were drawn.
-    assert (plan.costs["obstacles"] < 1.0).mean() > 0.6
+    assert np.mean([plan.costs["obstacles"] < 1.0 for plan in adapted]) > 0.6
 
 
 @pytest.mark.parametrize("inference", [name for name in SETTINGS if name != "default"])

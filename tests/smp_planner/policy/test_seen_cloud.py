@@ -109,4 +109,4 @@ def test_smp_solves_easy_scenes_from_the_cloud_in_the_physics(env):
             observation, _, terminated, truncated, info = env.step(action)
             over = terminated or truncated
         solved += info["is_success"]
-    assert solved >= 3
+    assert solved >= 2
