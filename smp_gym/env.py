@@ -404,10 +404,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._perceive()
         observation = self._observe()
         self._achieved, self._desired = observation["achieved_goal"], observation["desired_goal"]
-        desired = self._desired
         collided = self._cell.collision is not None
-        self._succeeded = bool(self.task.success(self._achieved, desired))
-        lost = bool(self.task.lost(self._achieved, desired))
+        self._succeeded = bool(self.task.success(self._achieved, self._desired))
+        lost = bool(self.task.lost(self._achieved, self._desired))
         self._over = self._succeeded or collided or lost
         if collided:
             self._failure = "collision"

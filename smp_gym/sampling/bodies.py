@@ -53,8 +53,8 @@ sides grow (m)."""
 _SHRINKING = 0.7
 _LOWERING = 0.03
 _SLIMMEST = 0.02
-"""How a body is made smaller: factor of its width, m less in height, m that it does not fall below.
-"""
+"""Factor of a body's width when it is made smaller, decrease of its height, and the half width that
+it does not fall below (m)."""
 
 _BOX, _CYLINDER, _BALL = (SHAPES.index(name) for name in ("box", "cylinder", "sphere"))
 

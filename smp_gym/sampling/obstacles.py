@@ -35,7 +35,7 @@ _CANDIDATES = 300
 """Number of obstacles drawn to choose from."""
 
 _SHRINKINGS = 3
-"""How many times an obstacle that does not fit is made smaller."""
+"""Number of times that an obstacle that does not fit is made smaller."""
 
 _CHILDREN = 150
 """Number of children of the obstacles that block most."""
