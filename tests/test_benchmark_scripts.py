@@ -72,7 +72,7 @@ def test_speed_is_measured_in_several_processes() -> None:
 
 
 def test_a_sheet_shows_its_scenes(tmp_path: Path) -> None:
-    options = ("--tasks", "Placement", "--difficulties", "easy", "--scenes", "5")
+    options = ("--cells", "Placement_easy", "--scenes", "5")
     result = _run("draw_scenes.py", *options, "--out", str(tmp_path))
     assert result.returncode == 0, result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["Placement_easy.png"]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.registration import environment_id
+from smp_gym.suites import Cell
 
 __all__ = ["draw_sheet", "pictures"]
 
@@ -21,11 +22,11 @@ _WIDTH, _HEIGHT = 400, 300
 _DPI = 100
 
 
-def pictures(task: str, difficulty: str, seeds: range) -> list[NDArray[np.uint8]]:
-    """Return the first picture (300, 400, 3) of the episode of each seed."""
+def pictures(cell: Cell, seeds: range) -> list[NDArray[np.uint8]]:
+    """Return the first picture (300, 400, 3) of the episode of each seed of a cell."""
     env: gymnasium.Env[Any, Any] = gymnasium.make(
-        environment_id(task),
-        difficulty=difficulty,
+        environment_id(cell.task),
+        **cell.make_arguments(),
         render_mode="rgb_array",
         width=_WIDTH,
         height=_HEIGHT,

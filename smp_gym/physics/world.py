@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from smp_gym.arrays import FloatArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.geometry.shape import SolidArguments
+from smp_gym.physics.hangers import hangers
 from smp_gym.physics.lines import Line, draw_lines
 from smp_gym.scene import MAX_OBSTACLES, Obstacle
 
@@ -182,6 +183,7 @@ class BulletWorld:
         position: Sequence[float] = _ORIGIN,
         quaternion: Sequence[float] = _IDENTITY,
         mass: float = 0.0,
+        seen_only: Sequence[Obstacle] = (),
     ) -> None:
         """Add a rigid body made of primitive shapes.
 
@@ -192,8 +194,11 @@ class BulletWorld:
             position: of the body's frame, m.
             quaternion: of the body's frame, (x, y, z, w).
             mass: kg; 0 makes it immovable.
+            seen_only: further shapes in the body's frame, in pictures only.
         """
         collision, visual = self._shapes(parts, color)
+        if seen_only and self._seen:
+            visual = self._visual([*parts, *seen_only], color)
         body = pybullet.createMultiBody(
             baseMass=mass,
             baseCollisionShapeIndex=collision,
@@ -246,8 +251,12 @@ class BulletWorld:
         renewed = range(max(len(obstacles), len(self._obstacles)))
         for slot in renewed:
             self._remove(f"obstacle_{slot}")
+        rods = hangers(obstacles) if self._seen else [[] for _ in obstacles]
         for slot in renewed:
-            self._park(slot, obstacles[slot] if slot < len(obstacles) else _SPECK)
+            if slot < len(obstacles):
+                self._park(slot, obstacles[slot], rods[slot])
+            else:
+                self._park(slot, _SPECK)
         self._obstacles = [f"obstacle_{slot}" for slot in range(len(obstacles))]
 
     @property
@@ -449,36 +458,45 @@ class BulletWorld:
         self._touching, self._contacts = set(), frozenset()
         pybullet.removeBody(body, physicsClientId=self.client)
 
-    def _park(self, slot: int, obstacle: Obstacle) -> None:
+    def _park(self, slot: int, obstacle: Obstacle, seen_only: Sequence[Obstacle] = ()) -> None:
         shape = Obstacle(shape=obstacle.shape, position=_ORIGIN, size=obstacle.size)
         color = OBSTACLE_COLORS[slot % len(OBSTACLE_COLORS)]
         self.add_body(
-            f"obstacle_{slot}", (shape,), color=color, position=(float(slot), 0.0, _PARKING_HEIGHT)
+            f"obstacle_{slot}",
+            (shape,),
+            color=color,
+            position=(float(slot), 0.0, _PARKING_HEIGHT),
+            seen_only=seen_only,
         )
 
     def _shapes(self, parts: Sequence[Obstacle], color: Color) -> tuple[int, int]:
         if len(parts) == 1 and (parts[0].position, parts[0].quaternion) == (_ORIGIN, _IDENTITY):
             return self._single_shape(parts[0], color)
+        collision = pybullet.createCollisionShapeArray(
+            collisionFramePositions=[list(part.position) for part in parts],
+            collisionFrameOrientations=[list(part.quaternion) for part in parts],
+            **self._geometries(parts),
+        )
+        return int(collision), self._visual(parts, color)
+
+    def _visual(self, parts: Sequence[Obstacle], color: Color) -> int:
+        visual = pybullet.createVisualShapeArray(
+            visualFramePositions=[list(part.position) for part in parts],
+            visualFrameOrientations=[list(part.quaternion) for part in parts],
+            rgbaColors=[list(color)] * len(parts),
+            **self._geometries(parts),
+        )
+        return int(visual)
+
+    def _geometries(self, parts: Sequence[Obstacle]) -> dict[str, Any]:
         solids = [_solid(part) for part in parts]
-        common: dict[str, Any] = {
+        return {
             "shapeTypes": [_geometry(solid) for solid in solids],
             "radii": [solid.radius for solid in solids],
             "halfExtents": [list(solid.half_extents) for solid in solids],
             "lengths": [solid.length for solid in solids],
             "physicsClientId": self.client,
         }
-        positions = [list(part.position) for part in parts]
-        quaternions = [list(part.quaternion) for part in parts]
-        collision = pybullet.createCollisionShapeArray(
-            collisionFramePositions=positions, collisionFrameOrientations=quaternions, **common
-        )
-        visual = pybullet.createVisualShapeArray(
-            visualFramePositions=positions,
-            visualFrameOrientations=quaternions,
-            rgbaColors=[list(color)] * len(parts),
-            **common,
-        )
-        return int(collision), int(visual)
 
     def _single_shape(self, part: Obstacle, color: Color) -> tuple[int, int]:
         """Return shapes without a compound around them, which contacts are cheaper with."""

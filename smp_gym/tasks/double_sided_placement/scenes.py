@@ -37,9 +37,13 @@ __all__ = ["SAMPLER", "demonstrated_transfers"]
 _GOAL_CLEARANCE = 0.01
 """m, of obstacles from the pads, sideways."""
 
-_CLOSED = ("hard",)
-"""Difficulties at which the other side is closed off: its only obstacle stands on the pad and
-leaves no room there."""
+_CLOSED_SHARE = {"none": 0.0, "easy": 0.25, "medium": 0.5, "hard": 1.0}
+"""Share of the scenes in which the other side is closed off: its only obstacle stands on the pad
+and leaves no room there."""
+
+_TRIES = 30
+"""How often pads and obstacles are drawn once it is settled whether the other side is closed off:
+draws fail more often where it is open, and a draw anew each time would close it in more scenes."""
 
 _STOPPER_HALF_EXTENTS = (0.05, 0.06)
 """m, of what stands on a pad that is closed off: between it and the pad's edge no object fits with
@@ -90,10 +94,15 @@ def _draw_queries(rng: np.random.Generator) -> tuple[Query, Query]:
     return queries if rng.integers(2) == 0 else queries[::-1]
 
 
-def _specification(difficulty: str) -> DifficultySpecification:
+def _draw_closed(difficulty: str, rng: np.random.Generator) -> bool:
+    """Draw whether the other side is closed off."""
+    return bool(rng.uniform() < _CLOSED_SHARE[difficulty])
+
+
+def _specification(difficulty: str, closed: bool) -> DifficultySpecification:
     """Return a difficulty's settings for each side that is open."""
     one = SPECIFICATIONS[difficulty]
-    if difficulty in _CLOSED:
+    if closed:
         return one
     # Two open sides are two chances to get through.
     return replace(one, free_share=one.free_share / 2.0, blind_share=one.blind_share / 2.0)
@@ -105,12 +114,16 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
     The first side is sure to be open, and the witness goes there. The other one either
     has a witness, too, or is closed off.
     """
-    first, second = _draw_queries(rng)
-    one = _specification(difficulty)
-    if difficulty not in _CLOSED:
-        return block_around_witness((first, second), one, rng)
-    drawn = block_around_witness((first,), one, rng)
-    return None if drawn is None else _closed_off(drawn, first, second, one.clearance, rng)
+    closed = _draw_closed(difficulty, rng)
+    one = _specification(difficulty, closed)
+    for _ in range(_TRIES):
+        first, second = _draw_queries(rng)
+        drawn = block_around_witness((first,) if closed else (first, second), one, rng)
+        if drawn is not None and closed:
+            drawn = _closed_off(drawn, first, second, one.clearance, rng)
+        if drawn is not None:
+            return drawn
+    return None
 
 
 def _closed_off(
@@ -136,11 +149,12 @@ def _stopper(goal: Goal, rng: np.random.Generator) -> FloatArray:
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     first, second = _draw_queries(rng)
-    one = _specification(difficulty)
+    closed = _draw_closed(difficulty, rng)
+    one = _specification(difficulty, closed)
     rows = block(first, one, rng)
     if rows is None:
         return None
-    if difficulty in _CLOSED:
+    if closed:
         rows = np.concatenate([rows, _stopper(second.goal, rng)])
     else:
         rows = block(second, one, rng, rows)
@@ -187,7 +201,7 @@ def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
 def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw obstacles on one side that are shifted in mid-episode; the other is closed off."""
     first, second = _draw_queries(rng)
-    one = _specification(difficulty)
+    one = _specification(difficulty, closed=True)
     drawn = block_around_witness((first,), one, rng)
     if drawn is None or drawn.witness is None:
         return None

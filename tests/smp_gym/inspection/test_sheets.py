@@ -4,13 +4,14 @@ import numpy as np
 from PIL import Image
 
 from smp_gym.inspection.sheets import draw_sheet, pictures
+from smp_gym.suites import Cell
 
 
 def test_each_seed_has_a_picture_of_its_own_that_comes_again():
-    first, second = pictures("Placement", "easy", range(3, 5))
+    first, second = pictures(Cell("Placement", "easy"), range(3, 5))
     assert first.shape == second.shape == (300, 400, 3)
     assert np.abs(first.astype(float) - second).mean() > 2.0
-    (again,) = pictures("Placement", "easy", range(4, 5))
+    (again,) = pictures(Cell("Placement", "easy"), range(4, 5))
     np.testing.assert_array_equal(again, second)
 
 
