@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
+from smp_gym.sampling.blind_detours import FUNCTIONS, load_blind_detours
 from smp_gym.sampling.detours import resample, smoothstep
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.scene import Configuration, Goal, ManipulatedObject
@@ -33,7 +34,7 @@ class Transfer(MovingBody):
         samples: of each member of a family.
         proposals: how many detours of ordinary width are drawn.
         wide: how many wide ones.
-        blind: (K, F, 6) rad, detours that are the same in every scene, see `blind_detours`.
+        blind_side: task and side whose blind detours are kept blocked; None for none.
     """
 
     start: FloatArray
@@ -45,7 +46,14 @@ class Transfer(MovingBody):
     samples: int = 20
     proposals: int = 104
     wide: int = 180
-    blind: FloatArray = field(default_factory=lambda: np.empty((0, 3, 6)))
+    blind_side: tuple[str, int] | None = None
+
+    @property
+    def blind(self) -> FloatArray:
+        """(K, 3, 6) rad, detours that are the same in every scene."""
+        if self.blind_side is None:
+            return np.empty((0, FUNCTIONS, 6))
+        return load_blind_detours(*self.blind_side)
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -60,7 +68,7 @@ def make_transfer(
     start: Configuration,
     held: FloatArray,
     goal_clearance: float,
-    **counts: Any,
+    **more: Any,
 ) -> Transfer:
     """Return the transfer that demonstrations show.
 
@@ -71,7 +79,7 @@ def make_transfer(
         start: rad.
         held: (4, 4) pose of the held object in the end-effector frame.
         goal_clearance: m, of obstacles from the bodies of goals, sideways.
-        counts: `proposals` and `blind`, where they differ.
+        more: fields that differ from their defaults, such as `proposals`.
     """
     shown = demonstrations.configurations[which]
     goals = np.array([scene.goals[goal].position for scene in demonstrations.scenes]).mean(axis=0)
@@ -86,7 +94,7 @@ def make_transfer(
         nominal_goal=goals,
         held=np.asarray(held),
         goal_clearance=goal_clearance,
-        **counts,
+        **more,
     )
 
 

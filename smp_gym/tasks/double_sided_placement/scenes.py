@@ -10,7 +10,6 @@ import numpy as np
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot import kinematics
-from smp_gym.sampling.blind_detours import load_blind_detours
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.conversion import to_row
@@ -73,7 +72,7 @@ def demonstrated_transfers() -> tuple[Transfer, Transfer]:
             HELD_OBJECT_POSE,
             _GOAL_CLEARANCE,
             proposals=_PROPOSALS,
-            blind=load_blind_detours("DoubleSidedPlacement", side),
+            blind_side=("DoubleSidedPlacement", side),
         )
         for side, which in enumerate((left, ~left))
     )

@@ -7,7 +7,6 @@ import functools
 import numpy as np
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.sampling.blind_detours import load_blind_detours
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.displaced import displaced
@@ -42,7 +41,7 @@ def demonstrated_transfer() -> Transfer:
         START_CONFIGURATION,
         HELD_OBJECT_POSE,
         _GOAL_CLEARANCE,
-        blind=load_blind_detours("Placement", 0),
+        blind_side=("Placement", 0),
     )
 
 

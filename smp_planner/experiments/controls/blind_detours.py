@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
+
+from smp_gym.arrays import FloatArray
 from smp_gym.sampling import sample_scene
-from smp_gym.sampling.blind_detours import store_blind_detour
-from smp_gym.tasks.double_sided_placement.scenes import demonstrated_transfers
-from smp_gym.tasks.placement.scenes import demonstrated_transfer
+from smp_gym.sampling.blind_detours import BLIND_DETOURS, FUNCTIONS, load_blind_detours
 from smp_planner.experiments.controls.detour import Detour, SearchSettings, learn_detour
 from smp_planner.experiments.controls.posed_scenes import posed
 
-__all__ = ["BLOCKED_TASKS", "add_blind_detour"]
+__all__ = ["BLOCKED_TASKS", "add_blind_detour", "store_blind_detour"]
 
 BLOCKED_TASKS = ("Placement", "DoubleSidedPlacement")
 """Tasks whose samplers keep blind detours blocked."""
@@ -31,6 +35,16 @@ def add_blind_detour(
     problems = posed([sample_scene(task, difficulty, seed) for seed in seeds])
     found = learn_detour(task, problems, settings, seed=seeds[0])
     store_blind_detour(task, found.component, found.numbers)
-    demonstrated_transfer.cache_clear()
-    demonstrated_transfers.cache_clear()
     return found
+
+
+def store_blind_detour(
+    task: str, side: int, numbers: FloatArray, file: Path = BLIND_DETOURS
+) -> None:
+    """Add a detour, (18,) rad, functions first, to those of a task and side."""
+    known = json.loads(file.read_text())
+    known[task][side] += np.round(numbers, 3).reshape(-1, FUNCTIONS, 6).tolist()
+    complete = file.with_suffix(".new")
+    complete.write_text(json.dumps(known))
+    os.replace(complete, file)
+    load_blind_detours.cache_clear()

@@ -1,7 +1,5 @@
 """What obstacles are drawn to block, and how they are made to fit beside a reference trajectory."""
 
-import json
-
 import gymnasium
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from smp_gym.sampling import SPECIFICATIONS, sample_scene
 from smp_gym.sampling.blind_detours import (
     detour_functions,
     load_blind_detours,
-    store_blind_detour,
 )
 from smp_gym.sampling.bodies import draw_bodies, hanging, shrunk, standing
 from smp_gym.sampling.choice import widths
@@ -45,19 +42,6 @@ def test_blind_detours_seldom_get_through_in_the_physics(difficulty):
     # Detours that have no body in their way reach bin or table, or are too slow, at times.
     assert len(through) >= 20
     assert np.mean(through) <= SPECIFICATIONS[difficulty].blind_share + 0.05
-
-
-def test_a_detour_is_added_to_those_of_its_task_and_side(tmp_path):
-    file = tmp_path / "blind_detours.json"
-    file.write_text(json.dumps({"Placement": [[]], "DoubleSidedPlacement": [[], []]}))
-    numbers = np.linspace(-1.0, 1.0, 18)
-    store_blind_detour("DoubleSidedPlacement", 1, numbers, file)
-    kept = json.loads(file.read_text())
-    assert (kept["Placement"], kept["DoubleSidedPlacement"][0]) == ([[]], [])
-    np.testing.assert_allclose(
-        np.ravel(kept["DoubleSidedPlacement"][1]), numbers, rtol=0.0, atol=5e-4
-    )
-    assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
 def test_there_are_detours_for_every_side_that_is_open():
