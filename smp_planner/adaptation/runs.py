@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -113,6 +114,21 @@ class Runs:
     def pull_back(self, gradient: Tensor) -> Tensor:
         """Return the gradient (B, P, K*D) by weights of what has (B, P, T, D) by trajectories."""
         return (self.values.mT @ gradient).flatten(-2)
+
+    def latent_trajectories(self, latent: Tensor) -> Tensor:
+        """Return the trajectories (B, P, T, D) of whitened particles (B, P, r)."""
+        mean, factor = self._of_latent
+        return (mean + latent @ factor).unflatten(-1, (self.steps, -1))
+
+    def latent_gradient(self, gradient: Tensor) -> Tensor:
+        """Return the gradient (B, P, r) by whitened particles of one (B, P, T, D) by paths."""
+        return gradient.flatten(-2) @ self._of_latent[1].mT
+
+    @cached_property
+    def _of_latent(self) -> tuple[Tensor, Tensor]:
+        """Trajectories as a linear map: (B, 1, T*D) the mean's, and (B, r, T*D)."""
+        columns = self.trajectories(self.factor.mT).flatten(-2)
+        return self.trajectories(self.mean).flatten(-2), columns.contiguous()
 
     def unwhiten(self, latent: Tensor) -> Tensor:
         """Return the weights (B, P, K*D) of whitened particles (B, P, r)."""

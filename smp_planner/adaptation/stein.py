@@ -79,14 +79,13 @@ def stein(
     state = init(latent if whiten else runs.unwhiten(latent), inference)
     for iteration in range(inference.iterations):
         particles = state.particles
-        weights = runs.unwhiten(particles) if whiten else particles
         progress = iteration / max(inference.iterations - 1, 1)
-        gradient = target.gradient(runs.trajectories(weights), progress)
-        pulled = runs.pull_back(gradient)
         if whiten:
-            prior_score, score = -particles, -runs.whiten_gradient(pulled)
+            gradient = target.gradient(runs.latent_trajectories(particles), progress)
+            prior_score, score = -particles, -runs.latent_gradient(gradient)
         else:
-            prior_score, score = runs.score(particles), -pulled
+            gradient = target.gradient(runs.trajectories(particles), progress)
+            prior_score, score = runs.score(particles), -runs.pull_back(gradient)
         state = step(state, prior_score, score, inference, validate=False)
         if not whiten:
             # Raw weights leave what conditioning made certain, the start above all.

@@ -15,7 +15,14 @@ from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.robot import forward_kernels, kinematics
 from smp_gym.robot.kinematics import SphereSet
 
-__all__ = ["LinkPairs", "RobotArrays", "RobotModel", "jaco_model", "jaco_of_spheres"]
+__all__ = [
+    "LinkPairs",
+    "RobotArrays",
+    "RobotModel",
+    "SingleArrays",
+    "jaco_model",
+    "jaco_of_spheres",
+]
 
 
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
@@ -76,6 +83,37 @@ class RobotArrays(NamedTuple):
     pairs: IntArray
     ball_center: FloatArray
     ball_radius: FloatArray
+
+
+class SingleArrays(NamedTuple):
+    """Arrays of a robot in single precision, for the compiled loops of the costs.
+
+    Attributes:
+        base: (4,4), as in `RobotArrays`, like the next four.
+        origins: (n,4,4).
+        link: (S,).
+        center: (S,3) m.
+        radius: (S,) m.
+        ball_center: (n+1,3) m.
+        ball_radius: (n+1,) m.
+        groups: (G,6) first link, second link, the range of their `pairs`, the range of their
+            spheres in `of_groups`.
+        pairs: (M,4) indices of two spheres among all, and among those of their group.
+        of_groups: (R,) the spheres of each group that are in one of its pairs.
+        most_spheres: of one group.
+    """
+
+    base: NDArray[np.float32]
+    origins: NDArray[np.float32]
+    link: IntArray
+    center: NDArray[np.float32]
+    radius: NDArray[np.float32]
+    ball_center: NDArray[np.float32]
+    ball_radius: NDArray[np.float32]
+    groups: IntArray
+    pairs: IntArray
+    of_groups: IntArray
+    most_spheres: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +256,34 @@ class RobotModel:
             pairs.pairs,
             pairs.ball_center,
             pairs.ball_radius,
+        )
+
+    @cached_property
+    def single(self) -> SingleArrays:
+        """Arrays for the compiled loops of the costs."""
+        found = self.link_pairs
+        spheres: list[IntArray] = []
+        groups, pairs = np.empty((len(found.groups), 6), np.int64), np.empty((0, 4), np.int64)
+        begin = 0
+        for g, ((i, j, first), size) in enumerate(zip(found.groups, found.sizes, strict=True)):
+            of_group = found.pairs[first : first + size]
+            own, place = np.unique(of_group, return_inverse=True)
+            pairs = np.vstack([pairs, np.hstack([of_group, place.reshape(-1, 2)])])
+            groups[g] = i, j, first, first + size, begin, begin + len(own)
+            spheres.append(own)
+            begin += len(own)
+        return SingleArrays(
+            self.base.astype(np.float32),
+            self.joint_origins.astype(np.float32),
+            self.link,
+            self.center.astype(np.float32),
+            self.radius.astype(np.float32),
+            found.ball_center.astype(np.float32),
+            found.ball_radius.astype(np.float32),
+            groups,
+            np.ascontiguousarray(pairs),
+            np.concatenate([np.empty(0, np.int64), *spheres]),
+            max((len(own) for own in spheres), default=0),
         )
 
     def carried(self, point: Any) -> FloatArray:

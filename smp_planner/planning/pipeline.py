@@ -30,6 +30,7 @@ from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.planning.threads import Threads, default_threads
 
 __all__ = [
     "Part",
@@ -187,6 +188,8 @@ def plan_problems(
     prior: Prior,
     adaptation: Adaptation,
     settings: PlanSettings,
+    *,
+    threads: int | None = None,
 ) -> list[Plan]:
     """Return one plan for each problem; the same problem gives the same plan.
 
@@ -199,17 +202,20 @@ def plan_problems(
         prior: learned from demonstrations.
         adaptation: how draws of the prior are carried to the problems.
         settings: map, costs and number of tries.
+        threads: that share the particles of a plan, `default_threads` by default; the plan does
+            not depend on it.
 
     Raises:
         UnreachableError: a goal is out of reach.
+        ValueError: `threads` is not a positive integer.
     """
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
-    with one_thread():
+    with Threads(default_threads() if threads is None else threads) as pool, one_thread():
         for number in range(tries):
             open_ = [attempt for attempt in attempts if not attempt.done]
             for attempt in open_:
-                _draw(attempt, prior, adaptation, settings, 2.0**number)
+                _draw(attempt, prior, adaptation, settings, 2.0**number, pool)
             open_ = [attempt for attempt in open_ if not attempt.done]
             _adapt(open_, adaptation, settings)
             for attempt in open_:
@@ -225,12 +231,17 @@ def plan_problems(
 
 
 def _draw(
-    attempt: _Attempt, prior: Prior, adaptation: Adaptation, settings: PlanSettings, width: float
+    attempt: _Attempt,
+    prior: Prior,
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    width: float,
+    threads: Threads,
 ) -> None:
     """Make the target and draw the particles of one attempt."""
     if adaptation.adapt is not None and attempt.target is None:
         with attempt.stopwatch.stage("map"):
-            attempt.target = SceneTarget(attempt.problem, settings)
+            attempt.target = SceneTarget(attempt.problem, settings, threads=threads)
     with attempt.stopwatch.stage("conditioning"):
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
