@@ -220,13 +220,13 @@ def plan_problems(
             _adapt(open_, adaptation, settings)
             for attempt in open_:
                 plan = _plan_of(attempt, prior, settings)
-                if attempt.best is None or plan.good.any():
+                if attempt.best is None or plan.solved:
                     attempt.best = plan
-                attempt.done = bool(attempt.best.good.any())
+                attempt.done = attempt.best.solved
     plans = []
     for attempt in attempts:
         assert attempt.best is not None
-        plans.append(replace(attempt.best, timings=attempt.stopwatch.timings))
+        plans.append(attempt.best.timed(attempt.stopwatch.timings))
     return plans
 
 

@@ -385,7 +385,7 @@ class SearchPlanner:
                     f"{settings.postures} configurations at the goal are free"
                 ),
             )
-        return replace(plan, timings=stopwatch.timings)
+        return plan.timed(stopwatch.timings)
 
 
 class RRTConnectPlanner(SearchPlanner):
