@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.arrays import FloatArray
 from smp_planner.collision import kernels as compiled
-from smp_planner.collision.robot_model import RobotModel
+from smp_planner.collision.robot_model import RobotModel, SingleArrays
 from smp_planner.occupancy.grid import DistanceGrid
 
 __all__ = [
@@ -141,6 +141,10 @@ class CollisionCost:
         return grid.values, grid.origin.astype(np.float32), np.float32(1.0 / grid.spacing), blocks
 
     @cached_property
+    def _robot(self) -> SingleArrays:
+        return self.robot.single()
+
+    @cached_property
     def _truncation(self) -> float:
         return float(self.grid.values.max())
 
@@ -195,7 +199,7 @@ class CollisionCost:
             value: (P,), added to.
             gradient: (P,T,n), contiguous, added to.
         """
-        robot = self.robot.single
+        robot = self._robot
         reach = np.float32(margin + CUTOFF_WIDTHS * edge_width)
         limit = np.minimum(robot.radius + reach, np.float32(self._truncation))
         compiled.map_collision(
@@ -239,6 +243,10 @@ class SelfCollisionCost:
                 f"edge widths), got {self.margin}"
             )
 
+    @cached_property
+    def _robot(self) -> SingleArrays:
+        return self.robot.single(self.margin + CUTOFF_WIDTHS * self.edge_width)
+
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
         return _evaluated(self, check_trajectories(trajectories, self.robot.joints))
@@ -249,7 +257,7 @@ class SelfCollisionCost:
         """Add the weighted cost; see `CompiledCost.add`."""
         compiled.self_collision(
             trajectories,
-            self.robot.single,
+            self._robot,
             self.margin + CUTOFF_WIDTHS * self.edge_width,
             self.edge_width,
             self.margin,

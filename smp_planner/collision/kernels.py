@@ -1,9 +1,10 @@
 """Compiled loops over whole particle sets: the costs of collisions and of limits.
 
 The functions here check nothing; `smp_planner.collision.costs` does, and owns the documentation of
-what is computed. P is the number of trajectories, T of steps, n of joints, S of spheres. Trajectories,
-values and gradients are C-contiguous float64, indices int64; robots and maps are float32, in which a
-sphere is placed to a micrometre. One thread each, without the interpreter's lock.
+what is computed. P is the number of trajectories, T of steps, n of joints, S of spheres.
+Trajectories, values and gradients are C-contiguous float64, indices int64; robots and maps are
+float32, in which a sphere is placed to a micrometre. One thread each, without the interpreter's
+lock.
 
 Configurations are taken `LANES` at a time, whichever trajectory they belong to, and lie last in
 memory: so every inner loop has one length that the compiler knows, and works on several
@@ -248,7 +249,7 @@ def map_collision(
         trajectories: (P,T,n) rad.
         first: first step that counts.
         last: step after the last one.
-        robot: `RobotModel.single`; spheres on link 0 do not move and are left out.
+        robot: as of `RobotModel.single`; spheres on link 0 do not move and are left out.
         grid: (X,Y,Z) signed distances in m, (3,) position of the first, 1/m inverse spacing, and
             what `least_of_blocks` makes of them; all float32.
         limit: (S,) m, distance of the centre from which on a sphere costs nothing.
@@ -438,7 +439,7 @@ def self_collision(trajectories, robot, reach, edge_width, margin, weight, value
 
     Args:
         trajectories: (P,T,n) rad.
-        robot: `RobotModel.single`.
+        robot: as of `RobotModel.single`.
         reach: gap from which on a pair costs nothing, m, not negative.
         edge_width: m.
         margin: m.
@@ -537,9 +538,7 @@ def self_collision(trajectories, robot, reach, edge_width, margin, weight, value
                     square = dx * dx + dy * dy + dz * dz
                     # Concentric spheres have no direction to part in.
                     between = np.sqrt(max(square, _CONCENTRIC))
-                    occupancy = _ONE / (
-                        _ONE + _exponential((between - both - margin) * inv_width)
-                    )
+                    occupancy = _ONE / (_ONE + _exponential((between - both - margin) * inv_width))
                     excess = occupancy * occupancy
                     slope = -_TWO * inv_width * excess * (_ONE - occupancy) / between
                     slope = slope if square < clear else _ZERO

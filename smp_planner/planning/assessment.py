@@ -145,9 +145,7 @@ class _BestFirst:
         assert best is not None
         self.chosen = best[2]
         self.solved = bool(
-            self._free[self.chosen]
-            & limits.executable[self.chosen]
-            & limits.passing[self.chosen]
+            self._free[self.chosen] & limits.executable[self.chosen] & limits.passing[self.chosen]
         )
 
     def _keys(self, free: BoolArray, clearance: FloatArray) -> list[tuple[float, float, int]]:

@@ -99,7 +99,7 @@ class Plan:
             checks: of the particles.
             known: the other fields.
         """
-        plan = cls(**{name: None for name in _OPEN}, **known)  # type: ignore[arg-type]
+        plan = cls(**dict.fromkeys(_OPEN), **known)  # type: ignore[arg-type]
         for name in _OPEN:
             del plan.__dict__[name]
         plan.__dict__["_checks"] = checks
