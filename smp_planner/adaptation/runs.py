@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -66,7 +66,7 @@ class Target(Protocol):
         ...
 
 
-Adapt = Callable[["Runs", Tensor, Target, Sequence[np.random.Generator], Any, Good | None], Tensor]
+Adapt = Callable[..., Tensor]
 """An adaptation: from runs, particles (B, P, r) drawn from their priors (whitened, so standard
 normals), the target, a generator for each run, the adaptation's settings, and a question that may
 be asked before the end, to adapted particles (B, P, r). Particles of a run see each other; runs do

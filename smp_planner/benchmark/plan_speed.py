@@ -12,16 +12,33 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from smp_gym.robot import kinematics
+from smp_gym.robot.kinematics import SphereSet
 from smp_gym.sampling import sample_scene
 from smp_planner.benchmark import plan_worker
+from smp_planner.benchmark.cost_speed import SPHERE_MARGIN, make_scene, make_trajectories
+from smp_planner.benchmark.timing import median_time
+from smp_planner.collision.costs import CollisionCost, SelfCollisionCost
+from smp_planner.collision.robot_model import RobotModel, jaco_model
+from smp_planner.occupancy.grid import bake_analytic
 
-__all__ = ["Measurement", "Variant", "busy_neighbours", "compared", "measure", "stages_table"]
+__all__ = [
+    "Measurement",
+    "Variant",
+    "busy_neighbours",
+    "compared",
+    "growth",
+    "markdown",
+    "measure",
+    "stages_table",
+]
 
 
 @dataclass(frozen=True)
@@ -231,3 +248,56 @@ def stages_table(found: Sequence[Measurement]) -> list[list[str]]:
         total = np.median([m.wall for m in own])
         rows.append([task, name, *(f"{1e3 * value:.0f}" for value in (*medians, total))])
     return rows
+
+
+def growth(repeats: int = 20, seed: int = 0) -> list[list[str]]:
+    """Return rows of a table of the time of all costs of a set, on one thread.
+
+    From 42 particles, 50 steps, the arm's own spheres and six boxes, one number at a time is
+    changed.
+
+    Args:
+        repeats: calls of which the median is taken.
+        seed: of scene and trajectories.
+    """
+    usual = {"particles": 42, "steps": 50, "spheres": 1, "obstacles": 6}
+    changes = {
+        "particles": (10, 42, 100, 300, 1000),
+        "steps": (25, 50, 100, 200),
+        "spheres": (1, 2, 4),
+        "obstacles": (1, 6, 16),
+    }
+    rows = [["what grows", "to", "map, ms", "the arm itself, ms"]]
+    for name, values in changes.items():
+        for value in values:
+            numbers = {**usual, name: value}
+            rng = np.random.default_rng(seed)
+            scene = make_scene(numbers["obstacles"], rng)
+            robot = _finer(jaco_model(kinematics.finger_spheres(np.zeros(4))), numbers["spheres"])
+            q = make_trajectories(robot, numbers["particles"], numbers["steps"], rng)
+            collision, own = CollisionCost(robot, bake_analytic(scene)), SelfCollisionCost(robot)
+            shown = str(len(robot.link)) if name == "spheres" else str(value)
+            times = (
+                median_time(partial(collision, q, 0.02, SPHERE_MARGIN), repeats),
+                median_time(partial(own, q), repeats),
+            )
+            rows.append([name, shown, *(f"{1e3 * seconds:.2f}" for seconds in times)])
+    return rows
+
+
+def _finer(robot: RobotModel, times: int) -> RobotModel:
+    """Return a robot with each sphere so many times over, and the pairs of all copies."""
+    count, copies = len(robot.link), np.arange(times)
+    spheres = SphereSet(
+        np.tile(robot.link, times), np.tile(robot.center, (times, 1)), np.tile(robot.radius, times)
+    )
+    offsets = count * np.stack(np.meshgrid(copies, copies), axis=-1).reshape(-1, 1, 2)
+    pairs = (robot.collision_pairs[None] + offsets).reshape(-1, 2)
+    return replace(robot, spheres=spheres, collision_pairs=pairs)
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows, the first of them the head, as a table in Markdown."""
+    head, *body = rows
+    lines = [head, ["---"] * len(head), *body]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

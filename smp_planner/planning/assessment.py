@@ -118,6 +118,11 @@ class _BestFirst:
         costs: as of `rank`.
         limits: what else there is to tell.
         until: time of `time.perf_counter` from which on nothing more is checked, but for the first.
+
+    Attributes:
+        chosen: see `Checks`.
+        solved: see there.
+        ended_early: whether the time was over before the best one was certain.
     """
 
     def __init__(
@@ -136,8 +141,12 @@ class _BestFirst:
         bounds = self._keys(np.ones(count, np.bool_), np.full(count, np.inf))
         order = sorted(range(count), key=bounds.__getitem__, reverse=True)
         best = None
+        self.ended_early = False
         for index in order:
-            if best is not None and (best >= bounds[index] or time.perf_counter() > until):
+            if best is not None and best >= bounds[index]:
+                break
+            if best is not None and time.perf_counter() > until:
+                self.ended_early = True
                 break
             self._check(np.array([index]))
             key = self._keys(self._free, self._clearance)[index]
@@ -160,6 +169,11 @@ class _BestFirst:
         free, clearance = _collisions(self._problem, self._trajectories[indices])
         self._free[indices], self._clearance[indices] = free, clearance
         self._checked[indices] = True
+
+    @property
+    def count(self) -> int:
+        """How many particles have been checked."""
+        return int(self._checked.sum())
 
     def complete(self) -> dict[str, Any]:
         """Return the open fields of a `Plan`; see `Checks.complete`."""
@@ -223,7 +237,12 @@ def make_plan(
         weights=weights,
         components=components,
     )
-    if not checks.solved:
+    if checks.ended_early and not checks.solved:
+        plan.__dict__["message"] = (
+            f"{reason} of the {checks.count} that were checked before the deadline: the least bad "
+            "one of them is chosen"
+        )
+    elif not checks.solved:
         plan.__dict__["message"] = (
             f"{reason}: of {len(trajectories)} particles {int(plan.collision_free.sum())} are "
             f"collision-free, {int(plan.executable.sum())} executable, "
