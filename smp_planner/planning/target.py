@@ -47,7 +47,8 @@ class SceneTarget:
         self._threads = threads or Threads(1)
         self._stages: list[tuple[Stage, ObstacleCost]] = []
         maps = SceneMaps(settings, problem.seed)
-        for stage in problem.stages:
+        # Maps of few obstacles first: those of more begin with them.
+        for stage in sorted(problem.stages, key=lambda stage: len(stage.obstacles)):
             cost = stage.body.obstacle_cost(stage.obstacles, stage.cloud, maps)
             if cost is not None:
                 self._stages.append((stage, cost))
