@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -92,12 +92,12 @@ class AutogradTarget(SceneTarget):
     ) -> None:
         super().__init__(problem, settings)
         self._dtype = dtype
-        by_type = {
+        by_type: dict[type, Callable[[Any, Tensor], Tensor]] = {
             SelfCollisionCost: autograd.self_collision,
             JointLimitCost: autograd.joint_limits,
             VelocityLimitCost: autograd.velocity_limits,
         }
-        self._functions = []
+        self._functions: list[tuple[float, Callable[[Tensor], Tensor]]] = []
         for name, (weight, cost) in self._terms.items():
             constraint = next((c for c in problem.constraints if c.name == name), None)
             if isinstance(constraint, Reaching):

@@ -145,7 +145,7 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
             annealing=0.0,
         ),
         "quick": replace(
-            _DEFAULT, optimizer=Adam(momentum=0.7, decay=0.9), step_size=0.3, iterations=50
+            _DEFAULT, optimizer=Adam(momentum=0.7, decay=0.9), step_size=0.35, iterations=50
         ),
         "no_repulsion": replace(_DEFAULT, repulsion=False),
         "raw": replace(_DEFAULT, whiten=False),

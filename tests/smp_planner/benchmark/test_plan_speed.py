@@ -47,7 +47,7 @@ def test_all_costs_together_are_those_of_autograd(progress):
     settings = PlanSettings(map="exact", sigma=0.1)
     rng = np.random.default_rng(1)
     phase = np.linspace(0.0, 1.0, 50)[None, :, None]
-    paths = START + rng.normal(0.0, 0.2, (9, 1, 6)) + phase * rng.normal(0.0, 4.0, (9, 1, 6))
+    paths = START + rng.normal(0.0, 0.2, (9, 1, 6)) + phase * rng.normal(0.0, 9.0, (9, 1, 6))
     oracle = AutogradTarget(problem, settings, torch.float64).gradient(paths, progress)
     with Threads(2) as threads:
         target = SceneTarget(problem, settings, threads=threads)
