@@ -171,10 +171,12 @@ class CollisionCost:
         if not math.isfinite(margin):
             raise ValueError(f"margin must be finite, got {margin}")
         value, gradient = np.zeros(len(q)), np.zeros(q.shape)
-        self.add(q, 0, q.shape[1], width, float(margin), steps_scale(q.shape[1]), value, gradient)
+        self.add_stretch(
+            q, 0, q.shape[1], width, float(margin), steps_scale(q.shape[1]), value, gradient
+        )
         return value, gradient
 
-    def add(
+    def add_stretch(
         self,
         trajectories: FloatArray,
         first: int,

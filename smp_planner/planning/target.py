@@ -141,7 +141,7 @@ class SceneTarget:
         for stage, cost in self._stages:
             steps = stage.steps(count)
             if isinstance(cost, CollisionCost):
-                cost.add(
+                cost.add_stretch(
                     trajectories, steps.start, steps.stop, width, margin, share, value, gradient
                 )
                 continue

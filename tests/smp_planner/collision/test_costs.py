@@ -99,7 +99,7 @@ def test_a_stretch_costs_what_its_steps_do(robot, grid):
     q = trajectories(robot, particles=5, steps=30)
     cost = costs.CollisionCost(robot, grid)
     value, gradient = np.full(5, 2.0), np.ones(q.shape)
-    cost.add(q, 7, 19, 0.03, 0.01, 3.0, value, gradient)
+    cost.add_stretch(q, 7, 19, 0.03, 0.01, 3.0, value, gradient)
     expected, slope = cost(np.ascontiguousarray(q[:, 7:19]), 0.03, 0.01)
     scale = 3.0 / costs.steps_scale(12)
     np.testing.assert_allclose(value, 2.0 + scale * expected)
@@ -211,7 +211,7 @@ def compiled_costs(robot, grid):
         "velocity limits": costs.VelocityLimitCost(robot.velocity, 1.0),
     }
     return {
-        "collision": lambda q, v, g: collision.add(q, 0, q.shape[1], 0.03, 0.01, 1.0, v, g),
+        "collision": lambda q, v, g: collision.add_stretch(q, 0, q.shape[1], 0.03, 0.01, 1.0, v, g),
         **{name: lambda q, v, g, cost=cost: cost.add(q, 1.0, v, g) for name, cost in added.items()},
     }
 
