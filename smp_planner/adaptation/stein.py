@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,6 +16,9 @@ from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
 
 __all__ = ["SteinSettings", "stein"]
+
+_TIMED = 2
+"""Iterations after which it is asked how many more there is time for."""
 
 
 class SteinSettings(BaseModel):
@@ -67,8 +72,14 @@ def stein(
     rngs: Sequence[np.random.Generator],
     settings: SteinSettings,
     good: Good | None = None,
+    until: float = math.inf,
 ) -> Tensor:
-    """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing."""
+    """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing.
+
+    Where time runs short there are fewer iterations: after each, their number is set to what the
+    mean time of those so far leaves room for, and the schedules to that number, so that particles
+    settle before the end.
+    """
     inference = _inference(runs, settings)
     whiten = inference.whiten
     ask = settings.early_stop and good is not None
@@ -77,16 +88,24 @@ def stein(
         return particles if whiten else runs.whiten(particles)
 
     state = init(latent if whiten else runs.unwhiten(latent), inference)
-    for iteration in range(inference.iterations):
+    begin = time.perf_counter()
+    while state.iteration < inference.iterations:
+        if until < math.inf and state.iteration >= _TIMED:
+            now = time.perf_counter()
+            room = int((until - now) * state.iteration / (now - begin))
+            if room < 1:
+                break
+            if state.iteration + room < inference.iterations:
+                inference = replace(inference, iterations=state.iteration + room)
+        iteration = state.iteration
         particles = state.particles
-        weights = runs.unwhiten(particles) if whiten else particles
         progress = iteration / max(inference.iterations - 1, 1)
-        gradient = target.gradient(runs.trajectories(weights), progress)
-        pulled = runs.pull_back(gradient)
         if whiten:
-            prior_score, score = -particles, -runs.whiten_gradient(pulled)
+            gradient = target.gradient(runs.latent_trajectories(particles), progress)
+            prior_score, score = -particles, -runs.latent_gradient(gradient)
         else:
-            prior_score, score = runs.score(particles), -pulled
+            gradient = target.gradient(runs.trajectories(particles), progress)
+            prior_score, score = runs.score(particles), -runs.pull_back(gradient)
         state = step(state, prior_score, score, inference, validate=False)
         if not whiten:
             # Raw weights leave what conditioning made certain, the start above all.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,9 +59,8 @@ class PrimitivePlanner:
             return {name: settings[name] for name in model.model_fields if name in settings}
 
         self.plan_settings = PlanSettings.model_validate(given(PlanSettings))
-        self.adaptation = Adaptation(
-            type(kind.settings).model_validate(given(type(kind.settings))), kind.adapt
-        )
+        own = type(kind.settings)
+        self.adaptation: Adaptation = replace(kind, settings=own.model_validate(given(own)))
         with one_thread():
             self.prior: Prior = learn_prior(
                 list(np.array(demonstrations.configurations)),
@@ -76,10 +76,30 @@ class PrimitivePlanner:
             **self.adaptation.settings.model_dump(mode="json"),
         }
 
-    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
-        """Return one plan for each problem; the same problem gives the same plan.
+    def plan(
+        self,
+        problems: Sequence[Problem],
+        *,
+        deadline: float | None = None,
+        threads: int | None = None,
+    ) -> list[Plan]:
+        """Return one plan for each problem; without a deadline, the same problem gives the same.
+
+        Args:
+            problems: to be solved.
+            deadline: s, and `threads`: see `smp_planner.planning.pipeline.plan_problems`.
+            threads: that share the particles.
 
         Raises:
             UnreachableError: a goal is out of reach.
+            ValueError: `deadline` is not a positive number, or the method has none; or `threads` is
+                not a positive integer.
         """
-        return plan_problems(problems, self.prior, self.adaptation, self.plan_settings)
+        return plan_problems(
+            problems,
+            self.prior,
+            self.adaptation,
+            self.plan_settings,
+            deadline=deadline,
+            threads=threads,
+        )

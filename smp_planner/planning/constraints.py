@@ -109,11 +109,11 @@ def at_phases(trajectories: FloatArray, phases: ArrayLike) -> FloatArray:
 def spread_to_steps(gradient: FloatArray, phases: ArrayLike, steps: int) -> FloatArray:
     """Return the gradient (P, T, D) by the samples of one (P, H, D) by points at phases (H,)."""
     first, share = _segments(steps, phases)
-    spread = np.zeros((gradient.shape[0], steps, gradient.shape[2]))
-    for h, (k, s) in enumerate(zip(first, share, strict=True)):
-        spread[:, k] += (1.0 - s) * gradient[:, h]
-        spread[:, k + 1] += s * gradient[:, h]
-    return spread
+    shares = np.zeros((steps, len(first)))
+    of_points = np.arange(len(first))
+    shares[first, of_points] = 1.0 - share
+    shares[first + 1, of_points] += share
+    return np.asarray(shares @ gradient)
 
 
 def mixture_cost(
@@ -334,16 +334,20 @@ class Reaching:
         upper = np.stack([goal.upper for goal in self.goals])
         variance = np.full(lower.shape, settings.sigma**2)
 
+        own = np.stack([goal.point for goal in self.goals])
+        distinct, which = np.unique(own, axis=0, return_inverse=True)
+
         def cost(trajectories: ArrayLike) -> ValueAndGradient:
             paths = check_trajectories(trajectories, self.robot.joints)
             ends = np.ascontiguousarray(paths[:, -1])
-            carried = [self.robot.carried_points(ends, goal.point) for goal in self.goals]
-            points = np.stack([point for point, _ in carried])
+            carried = [self.robot.carried_points(ends, point) for point in distinct]
+            points = np.stack([carried[k][0] for k in which.ravel()])
             offsets = box_offset(points, lower[:, None], upper[:, None])
             value, slopes = mixture_cost(offsets, variance, upper - lower, self.shares)
             gradient = np.zeros(paths.shape)
-            jacobians = np.stack([jacobian for _, jacobian in carried])
-            gradient[:, -1] = np.einsum("hpi,hpij->pj", slopes, jacobians)
+            for k, (_, jacobians) in enumerate(carried):
+                pull = slopes[which.ravel() == k].sum(axis=0)
+                gradient[:, -1] += (pull[:, None] @ jacobians)[:, 0]
             return value, gradient
 
         return cost
@@ -399,8 +403,11 @@ class ToolPath:
         all choices of moments in that order, the one whose worst miss is least counts.
         """
         worst = np.zeros(trajectories.shape[:2])
+        before = None
         for via in self.via_points:
-            points = self.robot.carried_points(trajectories, via.point)[0]
+            if before is None or (via.point != before).any():
+                points = self.robot.carried_points(trajectories, via.point)[0]
+                before = via.point
             missed = np.linalg.norm(points - via.position, axis=-1) - via.tolerance
             worst = np.minimum.accumulate(np.maximum(worst, missed), axis=1)
         return np.asarray(worst.min(axis=1))
@@ -419,7 +426,7 @@ class ToolPath:
             due = at_phases(paths, self.phases)
             points, jacobians = self._carried(due)
             offset = box_offset(points, lower, upper) / settings.sigma
-            slopes = np.einsum("phi,phij->phj", offset / settings.sigma, jacobians)
+            slopes = ((offset / settings.sigma)[..., None, :] @ jacobians)[..., 0, :]
             value = 0.5 * np.square(offset).sum(axis=(1, 2))
             return value, spread_to_steps(slopes, self.phases, paths.shape[1])
 
@@ -427,6 +434,9 @@ class ToolPath:
 
     def _carried(self, due: FloatArray) -> ValueAndGradient:
         """Return the points (P, H, 3) that (P, H, n) rad carry, and their Jacobians."""
+        point = self.via_points[0].point
+        if all((via.point == point).all() for via in self.via_points):
+            return self.robot.carried_points(due, point)
         carried = [
             self.robot.carried_points(due[:, h], via.point) for h, via in enumerate(self.via_points)
         ]

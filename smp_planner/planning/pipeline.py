@@ -30,6 +30,7 @@ from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.planning.threads import Threads, default_threads
 
 __all__ = [
     "Part",
@@ -39,6 +40,9 @@ __all__ = [
     "one_thread",
     "plan_problems",
 ]
+
+_RESERVED = 0.1
+"""Share of the time until a deadline that is kept for checking the best particle."""
 
 
 @contextmanager
@@ -187,50 +191,78 @@ def plan_problems(
     prior: Prior,
     adaptation: Adaptation,
     settings: PlanSettings,
+    *,
+    deadline: float | None = None,
+    threads: int | None = None,
 ) -> list[Plan]:
-    """Return one plan for each problem; the same problem gives the same plan.
+    """Return one plan for each problem; without a deadline, the same problem gives the same plan.
 
     A problem without a good particle is tried again with twice the added deviation, as often as
     `PlanSettings.retries` says; of tries that all fail, the first, with the prior as learned, is
     taken. What is not adapted is not tried again.
+
+    With a deadline there are as many iterations as it leaves room for, no new try once it is over,
+    and the best of the particles that could be checked is chosen; if none of these is good, the
+    plan's message says so. A map is made whole, at least one particle of each problem is checked:
+    so much the plan may be late.
 
     Args:
         problems: to be solved.
         prior: learned from demonstrations.
         adaptation: how draws of the prior are carried to the problems.
         settings: map, costs and number of tries.
+        deadline: s from the call, for all problems together; none by default.
+        threads: that share the particles of a plan, `default_threads` by default; the plan does
+            not depend on it.
 
     Raises:
         UnreachableError: a goal is out of reach.
+        ValueError: `deadline` is not a positive number, or the adaptation cannot keep one; or
+            `threads` is not a positive integer.
     """
+    begin = time.perf_counter()
+    until = math.inf
+    if deadline is not None:
+        if not (math.isfinite(deadline) and deadline > 0.0):
+            raise ValueError(f"deadline must be a positive number of seconds, got {deadline}")
+        if adaptation.adapt is not None and not adaptation.timely:
+            raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
+        until = begin + deadline
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
-    with one_thread():
+    with Threads(default_threads() if threads is None else threads) as pool, one_thread():
         for number in range(tries):
+            if number > 0 and time.perf_counter() > until:
+                break
             open_ = [attempt for attempt in attempts if not attempt.done]
             for attempt in open_:
-                _draw(attempt, prior, adaptation, settings, 2.0**number)
+                _draw(attempt, prior, adaptation, settings, 2.0**number, pool)
             open_ = [attempt for attempt in open_ if not attempt.done]
-            _adapt(open_, adaptation, settings)
+            _adapt(open_, adaptation, settings, until)
             for attempt in open_:
-                plan = _plan_of(attempt, prior, settings)
-                if attempt.best is None or plan.good.any():
+                plan = _plan_of(attempt, prior, settings, until)
+                if attempt.best is None or plan.solved:
                     attempt.best = plan
-                attempt.done = bool(attempt.best.good.any())
+                attempt.done = attempt.best.solved
     plans = []
     for attempt in attempts:
         assert attempt.best is not None
-        plans.append(replace(attempt.best, timings=attempt.stopwatch.timings))
+        plans.append(attempt.best.timed(attempt.stopwatch.timings))
     return plans
 
 
 def _draw(
-    attempt: _Attempt, prior: Prior, adaptation: Adaptation, settings: PlanSettings, width: float
+    attempt: _Attempt,
+    prior: Prior,
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    width: float,
+    threads: Threads,
 ) -> None:
     """Make the target and draw the particles of one attempt."""
     if adaptation.adapt is not None and attempt.target is None:
         with attempt.stopwatch.stage("map"):
-            attempt.target = SceneTarget(attempt.problem, settings)
+            attempt.target = SceneTarget(attempt.problem, settings, threads=threads)
     with attempt.stopwatch.stage("conditioning"):
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
@@ -241,7 +273,9 @@ def _draw(
             attempt.done = True
 
 
-def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings) -> None:
+def _adapt(
+    attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings, until: float
+) -> None:
     """Carry the particles of attempts to their targets, equal parts together."""
     if adaptation.adapt is None:
         return
@@ -251,7 +285,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
         for index, part in enumerate(attempt.parts):
             own = (len(groups),) if separate else ()
             groups.setdefault((*part.latent.shape, *own), []).append((attempt, index))
-    for group in groups.values():
+    for number, group in enumerate(groups.values()):
         begin = time.perf_counter()
         parts = [attempt.parts[index] for attempt, index in group]
         targets = [attempt.target for attempt, _ in group]
@@ -261,6 +295,11 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
             for (attempt, _), part in zip(group, parts, strict=True)
         ]
 
+        timely = {}
+        if until < math.inf:
+            # The groups that are left share the time that is left, but for what comes after.
+            left = (1.0 - _RESERVED) * (until - begin)
+            timely["until"] = begin + left / (len(groups) - number)
         latent = adaptation.adapt(
             runs,
             torch.stack([part.latent for part in parts]),
@@ -268,6 +307,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
             rngs,
             adaptation.settings,
             partial(_good, runs, [attempt.problem for attempt, _ in group], settings),
+            **timely,
         )
         seconds = (time.perf_counter() - begin) / len(group)
         for (attempt, index), adapted in zip(group, latent, strict=True):
@@ -288,7 +328,7 @@ def _good(
     return np.stack(found)
 
 
-def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
+def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings, until: float) -> Plan:
     """Return the plan that the particles of one attempt amount to."""
     parts, primitive = attempt.parts, prior.single
     weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
@@ -311,4 +351,5 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
             settings,
             weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
             components=components,
+            until=until,
         )
