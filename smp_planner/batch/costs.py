@@ -5,6 +5,9 @@ the exact distance to the obstacles in place of a grid. The derivative of a cost
 centre is a force on its link; force and moment about the origin are summed from the tip to the base
 and projected on the joint axes, so no Jacobian is formed. The values are differentiable, so that
 autograd can check the gradients.
+
+This is the reference: it asks the host which shapes and links matter, and does far more work than
+the fused kernels of `smp_planner.batch.kernels`, which compute the same.
 """
 
 from __future__ import annotations
@@ -17,11 +20,15 @@ from torch import Tensor
 from smp_planner.batch.shapes import LOCAL_DISTANCES, profile_distance
 from smp_planner.batch.tables import BodyTables, Tables, ToolTables
 from smp_planner.collision.costs import CUTOFF_WIDTHS, REFERENCE_STEPS
+from smp_planner.collision.verification import SELF_HORIZON
 from smp_planner.occupancy.occupancy_map import TRUNCATION
 
-__all__ = ["Chain", "PlainCosts", "chain", "obstacle_distance", "project", "tool_cost"]
+__all__ = ["WEIGHTED", "Chain", "PlainCosts", "chain", "obstacle_distance", "plain_gaps", "project", "tool_cost"]
 
 ValueAndGradient = tuple[Tensor, Tensor]
+
+WEIGHTED = ("obstacles", "self_collision", "velocity", "joint_limits")
+"""Names of the costs in the order of `Tables.weights`."""
 
 
 class Chain(NamedTuple):
@@ -102,6 +109,8 @@ def obstacle_distance(points: Tensor, body: BodyTables) -> ValueAndGradient:
         distance, slope = torch.full_like(best, torch.inf), torch.zeros_like(away)
         for code, profile in enumerate(LOCAL_DISTANCES.values()):
             mine = (row[:, 0] == code) & (index < body.obstacle_count)
+            if not bool(mine.any()):
+                continue
             found, gradient = profile_distance(*profile(local, size[:, None]))
             distance = torch.where(mine[:, None], found, distance)
             slope = torch.where(mine[:, None, None], gradient, slope)
@@ -166,14 +175,19 @@ def self_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
     value = trajectories.new_zeros(trajectories.shape[:3])
     force, moment = torch.zeros_like(links.position), torch.zeros_like(links.position)
     rows = torch.arange(placed.shape[-2], device=placed.device)
-    for inner, outer in tables.pair_links:
+    balls = tables.body.balls[:, None, None]
+    middle = links.position + (links.rotation @ balls[..., :3, None])[..., 0]
+    for inner, outer in tables.body.pair_links:
+        apart = torch.linalg.vector_norm(middle[..., inner, :] - middle[..., outer, :], dim=-1)
+        if bool((apart >= balls[..., inner, 3] + balls[..., outer, 3] + reach).all()):
+            continue
         first = tables.body.offsets[:, inner]
         for row in range(int(tables.body.offsets[:, outer].min()), placed.shape[-2]):
             mine = link[:, row] == outer
             if not bool(mine.any()):
                 break
             place = rows - first[:, None]
-            bits = tables.pair_masks[:, row, inner, None] >> place.clamp(0, 63)
+            bits = tables.body.pair_masks[:, row, inner, None] >> place.clamp(0, 63)
             paired = mine[:, None] & (place >= 0) & (place < 63) & ((bits & 1) == 1)
             apart = placed - placed[..., row : row + 1, :]
             square = apart.square().sum(-1)
@@ -184,7 +198,7 @@ def self_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
                 between - both - margin, torch.full_like(between, reach - margin), width, active
             )
             value = value + found.sum(-1)
-            pull = ((slope / between)[..., None] * apart)
+            pull = (slope / between)[..., None] * apart
             turn = torch.linalg.cross(placed, pull).sum(-2)
             pull = pull.sum(-2)
             force[..., inner, :] += pull.detach()
@@ -193,6 +207,38 @@ def self_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
             moment[..., outer, :] -= turn.detach()
     scale = REFERENCE_STEPS / trajectories.shape[-2]
     return scale * value.sum(-1), scale * project(links, force, moment)
+
+
+def plain_gaps(tables: Tables, stage: BodyTables, trajectories: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the gaps (B, P, T) m of a stage's spheres to obstacles, and to one another.
+
+    Spheres on link 0 are left out of the first, and the second is at most `SELF_HORIZON`.
+
+    Args:
+        tables: of the chain.
+        stage: spheres and obstacles.
+        trajectories: (B, P, T, n) rad.
+    """
+    links = chain(tables.chain, trajectories)
+    placed, link = _placed(links, stage)
+    distance, _ = obstacle_distance(placed.flatten(1, 3), stage)
+    radius = stage.spheres[:, None, None, :, 3]
+    gap = distance.reshape(placed.shape[:-1]) - radius
+    gap = torch.where((link > 0)[:, None, None], gap, torch.inf).amin(-1)
+    own = torch.full_like(gap, SELF_HORIZON)
+    rows = torch.arange(placed.shape[-2], device=placed.device)
+    for inner, outer in stage.pair_links:
+        place = rows - stage.offsets[:, inner, None]
+        for row in range(int(stage.offsets[:, outer].min()), placed.shape[-2]):
+            mine = link[:, row] == outer
+            if not bool(mine.any()):
+                break
+            bits = stage.pair_masks[:, row, inner, None] >> place.clamp(0, 63)
+            paired = mine[:, None] & (place >= 0) & (place < 63) & ((bits & 1) == 1)
+            apart = torch.linalg.vector_norm(placed - placed[..., row : row + 1, :], dim=-1)
+            apart = apart - radius - radius[..., row : row + 1]
+            own = torch.minimum(own, torch.where(paired[:, None, None], apart, torch.inf).amin(-1))
+    return gap, own
 
 
 def velocity_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
@@ -264,7 +310,7 @@ class PlainCosts:
 
     def weighted(self, trajectories: Tensor, width: float) -> ValueAndGradient:
         """Return the weighted sum (B, P) of costs, and its gradient (B, P, T, n)."""
-        weights = dict(zip(_NAMES, self.tables.weights, strict=True))
+        weights = dict(zip(WEIGHTED, self.tables.weights, strict=True))
         found = self._costs(trajectories, width, self.tables.margin)
         parts = [
             (weights.get(name, 1.0) * value, weights.get(name, 1.0) * gradient)
@@ -297,6 +343,3 @@ class PlainCosts:
             "joint_limits": limit_cost(tables, trajectories),
             **{name: tool_cost(tables, t, trajectories) for name, t in tables.tools.items()},
         }
-
-
-_NAMES = ("obstacles", "self_collision", "velocity", "joint_limits")

@@ -67,6 +67,10 @@ class BodyTables:
         balls: (B, n + 1, 4) m, centre and radius of a ball around all spheres of a link.
         obstacles: (B, O, `OBSTACLE_ROW`).
         obstacle_count: (B,) int32, how many of them there are.
+        pair_masks: (B, S, n + 1) int64, whether sphere s must stay clear of sphere number b of link
+            k: bit b.
+        pair_links: pairs of links, the inner one first, that have such spheres.
+        levers: (B, n + 1, n) m: no sphere of a link is ever farther from the axis of a joint.
     """
 
     first: int
@@ -77,6 +81,9 @@ class BodyTables:
     balls: Tensor
     obstacles: Tensor
     obstacle_count: Tensor
+    pair_masks: Tensor
+    pair_links: tuple[tuple[int, int], ...]
+    levers: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +122,6 @@ class Tables:
         chain: (n + 1, 12) pose of link 0, and from each link to the next joint: rotation, place.
         stages: stretches of the trajectory with their obstacles.
         body: all that moves in the end; its obstacles are not used.
-        pair_masks: (B, S, n + 1) int64, whether sphere s of `body` must stay clear of sphere number
-            b of link k: bit b.
-        pair_links: pairs of links, the inner one first, that have such spheres.
         weights: of obstacles, self-collision, velocities and joint limits.
         edge_width: of the map in the first and the last iteration, m.
         margin: m, by which spheres are enlarged while planning.
@@ -133,8 +137,6 @@ class Tables:
     chain: Tensor
     stages: tuple[BodyTables, ...]
     body: BodyTables
-    pair_masks: Tensor
-    pair_links: tuple[tuple[int, int], ...]
     weights: tuple[float, float, float, float]
     edge_width: tuple[float, float]
     margin: float
@@ -179,14 +181,12 @@ class Tables:
         """
         _check_alike(problems)
         steps = settings.planning_steps if steps is None else steps
-        models = [problem.robot for problem in problems]
+        first = problems[0].robot
         limits = problems[0].body.limit_costs(settings)
         own, speed, bounds = (limits[n][1] for n in ("self_collision", "velocity", "joint_limits"))
         assert isinstance(own, SelfCollisionCost)
         assert isinstance(speed, VelocityLimitCost)
         assert isinstance(bounds, JointLimitCost)
-        masks, pair_links = _pair_masks(models)
-        first = models[0]
         chain = np.stack([_pose_row(first.base), *(_pose_row(o) for o in first.joint_origins)])
         tables = cls(
             steps=steps,
@@ -196,8 +196,6 @@ class Tables:
                 for i in range(len(problems[0].stages))
             ),
             body=_body_tables([_Whole(problem.body) for problem in problems], steps),
-            pair_masks=masks,
-            pair_links=pair_links,
             weights=(
                 settings.obstacle_weight,
                 *(limits[name][0] for name in ("self_collision", "velocity", "joint_limits")),
@@ -316,7 +314,7 @@ def _order(model: RobotModel) -> NDArray[np.int64]:
 def _body_tables(parts: Sequence[Any], steps: int) -> BodyTables:
     """Return the tables of one stage of each problem."""
     count = parts[0].steps(steps)
-    spheres, offsets, balls, rows, scales = [], [], [], [], []
+    spheres, offsets, balls, rows, scales, levers = [], [], [], [], [], []
     for part in parts:
         model, order = part.body.model, _order(part.body.model)
         pairs = model.link_pairs
@@ -326,11 +324,15 @@ def _body_tables(parts: Sequence[Any], steps: int) -> BodyTables:
         )
         balls.append(np.column_stack([pairs.ball_center, pairs.ball_radius]))
         rows.append(_obstacle_rows(part.obstacles))
+        lever = np.zeros((model.joints + 1, model.joints))
+        np.maximum.at(lever, model.link, model.levers)
+        levers.append(lever)
         scale = (REFERENCE_STEPS - 1) / (steps - 1)
         moving = int(np.count_nonzero(model.link))
         if part.body.reference_spheres is not None and moving:
             scale *= part.body.reference_spheres / moving
         scales.append(scale)
+    masks, pair_links = _pair_masks([part.body.model for part in parts])
     return BodyTables(
         count.start,
         count.stop,
@@ -340,6 +342,9 @@ def _body_tables(parts: Sequence[Any], steps: int) -> BodyTables:
         _stack(balls),
         _stack(rows),
         torch.tensor([len(row) for row in rows], dtype=torch.int32),
+        masks,
+        pair_links,
+        _stack(levers),
     )
 
 
