@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from torch import Tensor
 
 from smp_planner.adaptation.runs import Good, Runs, Target
-from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
+from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
 
-__all__ = ["SteinSettings", "stein"]
+__all__ = ["SteinSettings", "inference_of", "iterate", "stein"]
 
 
 class SteinSettings(BaseModel):
@@ -48,16 +48,47 @@ class SteinSettings(BaseModel):
         return name
 
 
-def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+def inference_of(settings: SteinSettings) -> SVGDSettings:
+    """Return the settings of SVGD, without a metric."""
     inference = replace(named_settings(settings.inference), iterations=settings.iterations)
     if settings.step_size is not None:
         inference = replace(inference, step_size=settings.step_size)
+    return inference
+
+
+def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+    inference = inference_of(settings)
     if inference.needs_metric:
         root = runs.primitives[0].path_root(runs.steps)
         if inference.whiten:
             root = runs.primitives[0].whiten_gradient(root)
         inference = inference.with_metric(root)
     return inference
+
+
+def iterate(runs: Runs, state: State, target: Target, inference: SVGDSettings) -> State:
+    """Return the state after one more iteration, without waiting for the device that it is on.
+
+    Args:
+        runs: the priors.
+        state: before it.
+        target: the costs.
+        inference: the settings with which `state` began.
+    """
+    particles = state.particles
+    weights = runs.unwhiten(particles) if inference.whiten else particles
+    progress = state.iteration / max(inference.iterations - 1, 1)
+    gradient = target.gradient(runs.trajectories(weights), progress)
+    pulled = runs.pull_back(gradient)
+    if inference.whiten:
+        prior_score, score = -particles, -runs.whiten_gradient(pulled)
+    else:
+        prior_score, score = runs.score(particles), -pulled
+    state = step(state, prior_score, score, inference, validate=False)
+    if not inference.whiten:
+        # Raw weights leave what conditioning made certain, the start above all.
+        state = state._replace(particles=runs.project(state.particles))
+    return state
 
 
 def stein(
@@ -70,27 +101,15 @@ def stein(
 ) -> Tensor:
     """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing."""
     inference = _inference(runs, settings)
-    whiten = inference.whiten
     ask = settings.early_stop and good is not None
 
     def whitened(particles: Tensor) -> Tensor:
-        return particles if whiten else runs.whiten(particles)
+        return particles if inference.whiten else runs.whiten(particles)
 
-    state = init(latent if whiten else runs.unwhiten(latent), inference)
-    for iteration in range(inference.iterations):
+    state = init(latent if inference.whiten else runs.unwhiten(latent), inference)
+    for _ in range(inference.iterations):
         particles = state.particles
-        weights = runs.unwhiten(particles) if whiten else particles
-        progress = iteration / max(inference.iterations - 1, 1)
-        gradient = target.gradient(runs.trajectories(weights), progress)
-        pulled = runs.pull_back(gradient)
-        if whiten:
-            prior_score, score = -particles, -runs.whiten_gradient(pulled)
-        else:
-            prior_score, score = runs.score(particles), -pulled
-        state = step(state, prior_score, score, inference, validate=False)
-        if not whiten:
-            # Raw weights leave what conditioning made certain, the start above all.
-            state = state._replace(particles=runs.project(state.particles))
+        state = iterate(runs, state, target, inference)
         if ask:
             before, after = whitened(particles), whitened(state.particles)
             movement = float((after - before).square().mean(-1).sqrt().mean())

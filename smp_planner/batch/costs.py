@@ -23,7 +23,16 @@ from smp_planner.collision.costs import CUTOFF_WIDTHS, REFERENCE_STEPS
 from smp_planner.collision.verification import SELF_HORIZON
 from smp_planner.occupancy.occupancy_map import TRUNCATION
 
-__all__ = ["WEIGHTED", "Chain", "PlainCosts", "chain", "obstacle_distance", "plain_gaps", "project", "tool_cost"]
+__all__ = [
+    "WEIGHTED",
+    "Chain",
+    "PlainCosts",
+    "chain",
+    "obstacle_distance",
+    "plain_gaps",
+    "project",
+    "tool_cost",
+]
 
 ValueAndGradient = tuple[Tensor, Tensor]
 
@@ -73,9 +82,7 @@ def project(links: Chain, force: Tensor, moment: Tensor) -> Tensor:
         force: (..., n + 1, 3).
         moment: (..., n + 1, 3).
     """
-    force, moment = (
-        part[..., 1:, :].flip(-2).cumsum(-2).flip(-2) for part in (force, moment)
-    )
+    force, moment = (part[..., 1:, :].flip(-2).cumsum(-2).flip(-2) for part in (force, moment))
     arm = torch.linalg.cross(links.position[..., 1:, :], force)
     return (links.rotation[..., 1:, :, 2] * (moment - arm)).sum(-1)
 
@@ -120,9 +127,7 @@ def obstacle_distance(points: Tensor, body: BodyTables) -> ValueAndGradient:
     return best, away
 
 
-def _forces(
-    links: Chain, placed: Tensor, link: Tensor, force: Tensor
-) -> Tensor:
+def _forces(links: Chain, placed: Tensor, link: Tensor, force: Tensor) -> Tensor:
     """Return the joint torques (B, P, T, n) of forces (B, P, T, S, 3) at centres of spheres."""
     count = links.position.shape[-2]
     on_link = torch.nn.functional.one_hot(link.long(), count).to(force)[:, None, None]

@@ -238,8 +238,17 @@ def _link_gap(relative, inner_ball, outer_ball):
 
 @triton.jit
 def _pair_excess(
-    relative, spheres, masks, offsets, inner: tl.constexpr, outer: tl.constexpr, reach, part,
-    LINKS: tl.constexpr, PARTS: tl.constexpr, BLOCK: tl.constexpr,
+    relative,
+    spheres,
+    masks,
+    offsets,
+    inner: tl.constexpr,
+    outer: tl.constexpr,
+    reach,
+    part,
+    LINKS: tl.constexpr,
+    PARTS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
     """Return the least of |a - b|² - (r_a + r_b + reach)² over the pairs of two links."""
     least = tl.full([BLOCK], _FAR, tl.float32)
@@ -264,16 +273,57 @@ def _pair_excess(
 
 @triton.jit
 def collisions(
-    trajectories, gradient, values, chain, spheres, offsets, balls, obstacles, obstacle_count,
-    scale, own_spheres, own_offsets, own_balls, masks, per_step, lower, upper,
-    sphere_stride, offset_stride, ball_stride, obstacle_stride,
-    own_sphere_stride, own_offset_stride, own_ball_stride, mask_stride,
-    particles, steps, first, length, batch_values, batch_gradient,
-    obstacle_weight, width, margin, truncation,
-    own_weight, own_width, own_margin, velocity_weight, velocity_scale, limit_weight, own_scale,
-    JOINTS: tl.constexpr, PAIRS: tl.constexpr, CUTOFF: tl.constexpr,
-    OBSTACLES: tl.constexpr, OWN: tl.constexpr, ADD: tl.constexpr, VALUES: tl.constexpr,
-    PARTS: tl.constexpr, BLOCK: tl.constexpr,
+    trajectories,
+    gradient,
+    values,
+    chain,
+    spheres,
+    offsets,
+    balls,
+    obstacles,
+    obstacle_count,
+    scale,
+    own_spheres,
+    own_offsets,
+    own_balls,
+    masks,
+    per_step,
+    lower,
+    upper,
+    sphere_stride,
+    offset_stride,
+    ball_stride,
+    obstacle_stride,
+    own_sphere_stride,
+    own_offset_stride,
+    own_ball_stride,
+    mask_stride,
+    particles,
+    steps,
+    first,
+    length,
+    batch_values,
+    batch_gradient,
+    obstacle_weight,
+    width,
+    margin,
+    truncation,
+    own_weight,
+    own_width,
+    own_margin,
+    velocity_weight,
+    velocity_scale,
+    limit_weight,
+    own_scale,
+    JOINTS: tl.constexpr,
+    PAIRS: tl.constexpr,
+    CUTOFF: tl.constexpr,
+    OBSTACLES: tl.constexpr,
+    OWN: tl.constexpr,
+    ADD: tl.constexpr,
+    VALUES: tl.constexpr,
+    PARTS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
     """Write the gradient of obstacles, self-collision, velocities and joint limits.
 
@@ -391,20 +441,33 @@ def collisions(
             )
             if tl.min(gap, axis=0) < own_reach:
                 least = _pair_excess(
-                    relative, own_spheres, masks, own_offsets, PAIRS[2 * pair], PAIRS[2 * pair + 1],
-                    own_reach, part,
-                    LINKS, PARTS, BLOCK,
+                    relative,
+                    own_spheres,
+                    masks,
+                    own_offsets,
+                    PAIRS[2 * pair],
+                    PAIRS[2 * pair + 1],
+                    own_reach,
+                    part,
+                    LINKS,
+                    PARTS,
+                    BLOCK,
                 )
                 if tl.min(least, axis=0) < 0.0:
                     begin = tl.load(own_offsets + PAIRS[2 * pair])
                     end = tl.load(own_offsets + PAIRS[2 * pair] + 1)
                     for v in range(
-                        tl.load(own_offsets + PAIRS[2 * pair + 1]) + part, tl.load(own_offsets + PAIRS[2 * pair + 1] + 1), PARTS
+                        tl.load(own_offsets + PAIRS[2 * pair + 1]) + part,
+                        tl.load(own_offsets + PAIRS[2 * pair + 1] + 1),
+                        PARTS,
                     ):
                         sphere = own_spheres + 4 * v
                         x, y, z = _place(
-                            relative, 0,
-                            tl.load(sphere), tl.load(sphere + 1), tl.load(sphere + 2),
+                            relative,
+                            0,
+                            tl.load(sphere),
+                            tl.load(sphere + 1),
+                            tl.load(sphere + 2),
                         )
                         radius = tl.load(sphere + 3)
                         mask = tl.load(masks + v * LINKS + PAIRS[2 * pair])
@@ -418,9 +481,7 @@ def collisions(
                                 dx = cx - x
                                 dy = cy - y
                                 dz = cz - z
-                                between_ = tl.sqrt(
-                                    tl.maximum(dx * dx + dy * dy + dz * dz, 1e-18)
-                                )
+                                between_ = tl.sqrt(tl.maximum(dx * dx + dy * dy + dz * dz, 1e-18))
                                 occupancy = 1.0 / (
                                     1.0 + tl.exp((between_ - both - own_margin) * own_steep)
                                 )
@@ -498,8 +559,19 @@ def collisions(
 
 @triton.jit
 def _tool_offset(
-    trajectories, chain, step, share, point, lower, upper, term, start, inv_sigma, steps,
-    JOINTS: tl.constexpr, BLOCK: tl.constexpr,
+    trajectories,
+    chain,
+    step,
+    share,
+    point,
+    lower,
+    upper,
+    term,
+    start,
+    inv_sigma,
+    steps,
+    JOINTS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
     """Return poses at the phase of a term, the carried point, and its offset from the box."""
     at = start + tl.load(step + term)
@@ -521,9 +593,22 @@ def _tool_offset(
 
 @triton.jit
 def tools(
-    trajectories, gradient, chain, step, share, point, lower, upper, log_weight, group,
-    terms, particles, steps, inv_sigma,
-    JOINTS: tl.constexpr, BLOCK: tl.constexpr,
+    trajectories,
+    gradient,
+    chain,
+    step,
+    share,
+    point,
+    lower,
+    upper,
+    log_weight,
+    group,
+    terms,
+    particles,
+    steps,
+    inv_sigma,
+    JOINTS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
     """Add the gradient of boxes for carried points, of all groups of `ToolTables`.
 
@@ -545,8 +630,19 @@ def tools(
         mine = tl.load(group + h)
         if mine > 0:
             poses, x, y, z, u, v, w = _tool_offset(
-                trajectories, chain, step, share, point, lower, upper, h, start, inv_sigma, steps,
-                JOINTS, BLOCK,
+                trajectories,
+                chain,
+                step,
+                share,
+                point,
+                lower,
+                upper,
+                h,
+                start,
+                inv_sigma,
+                steps,
+                JOINTS,
+                BLOCK,
             )
             own = tl.load(log_weight + h) - 0.5 * (u * u + v * v + w * w)
             # The share of this option among all of its group: 1 / sum of exp(other - own).
@@ -554,8 +650,19 @@ def tools(
             for other in range(terms):
                 if (tl.load(group + other) == mine) & (other != h):
                     _, _, _, _, a, b, c = _tool_offset(
-                        trajectories, chain, step, share, point, lower, upper, other, start,
-                        inv_sigma, steps, JOINTS, BLOCK,
+                        trajectories,
+                        chain,
+                        step,
+                        share,
+                        point,
+                        lower,
+                        upper,
+                        other,
+                        start,
+                        inv_sigma,
+                        steps,
+                        JOINTS,
+                        BLOCK,
                     )
                     there = tl.load(log_weight + other) - 0.5 * (a * a + b * b + c * c)
                     total += tl.exp(tl.minimum(there - own, 80.0))
@@ -576,8 +683,17 @@ def tools(
 
 @triton.jit
 def _clearances(
-    poses, spheres, offsets, balls, obstacles, there, masks, horizon,
-    JOINTS: tl.constexpr, PAIRS: tl.constexpr, BLOCK: tl.constexpr,
+    poses,
+    spheres,
+    offsets,
+    balls,
+    obstacles,
+    there,
+    masks,
+    horizon,
+    JOINTS: tl.constexpr,
+    PAIRS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
     """Return the least gap to obstacles and, at most the horizon, between the robot's spheres."""
     LINKS: tl.constexpr = JOINTS + 1
@@ -606,12 +722,25 @@ def _clearances(
         gap = _link_gap(relative, balls + 4 * PAIRS[2 * pair], balls + 4 * PAIRS[2 * pair + 1])
         if tl.min(gap, axis=0) < horizon:
             least = _pair_excess(
-                relative, spheres, masks, offsets, PAIRS[2 * pair], PAIRS[2 * pair + 1], horizon, 0, LINKS, 1, BLOCK
+                relative,
+                spheres,
+                masks,
+                offsets,
+                PAIRS[2 * pair],
+                PAIRS[2 * pair + 1],
+                horizon,
+                0,
+                LINKS,
+                1,
+                BLOCK,
             )
             if tl.min(least, axis=0) < 0.0:
                 begin = tl.load(offsets + PAIRS[2 * pair])
                 end = tl.load(offsets + PAIRS[2 * pair] + 1)
-                for v in range(tl.load(offsets + PAIRS[2 * pair + 1]), tl.load(offsets + PAIRS[2 * pair + 1] + 1)):
+                for v in range(
+                    tl.load(offsets + PAIRS[2 * pair + 1]),
+                    tl.load(offsets + PAIRS[2 * pair + 1] + 1),
+                ):
                     sphere = spheres + 4 * v
                     x, y, z = _place(
                         relative, 0, tl.load(sphere), tl.load(sphere + 1), tl.load(sphere + 2)
@@ -631,10 +760,27 @@ def _clearances(
 
 @triton.jit
 def gaps(
-    trajectories, gap, own_gap, chain, spheres, offsets, balls, obstacles, obstacle_count, masks,
-    sphere_stride, offset_stride, ball_stride, obstacle_stride, mask_stride,
-    particles, steps, horizon,
-    JOINTS: tl.constexpr, PAIRS: tl.constexpr, BLOCK: tl.constexpr,
+    trajectories,
+    gap,
+    own_gap,
+    chain,
+    spheres,
+    offsets,
+    balls,
+    obstacles,
+    obstacle_count,
+    masks,
+    sphere_stride,
+    offset_stride,
+    ball_stride,
+    obstacle_stride,
+    mask_stride,
+    particles,
+    steps,
+    horizon,
+    JOINTS: tl.constexpr,
+    PAIRS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
     """Write the gaps to obstacles and of the robot to itself (B, P, T) at configurations.
 
@@ -650,10 +796,17 @@ def gaps(
         angles = angles + (tl.load(trajectories + at * JOINTS + joint),)
     poses = _poses(chain, angles, JOINTS, BLOCK)
     best, own = _clearances(
-        poses, spheres + scene * sphere_stride, offsets + scene * offset_stride,
-        balls + scene * ball_stride, obstacles + scene * obstacle_stride,
-        tl.load(obstacle_count + scene), masks + scene * mask_stride, horizon,
-        JOINTS, PAIRS, BLOCK,
+        poses,
+        spheres + scene * sphere_stride,
+        offsets + scene * offset_stride,
+        balls + scene * ball_stride,
+        obstacles + scene * obstacle_stride,
+        tl.load(obstacle_count + scene),
+        masks + scene * mask_stride,
+        horizon,
+        JOINTS,
+        PAIRS,
+        BLOCK,
     )
     tl.store(gap + scene * count + index, best, mask=valid)
     tl.store(own_gap + scene * count + index, own, mask=valid)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -35,6 +35,9 @@ OBSTACLE_ROW = 16
 _MOST_OBSTACLES = 63
 _MOST_SPHERES = 63
 """Of a link, like obstacles of a stage: kernels keep sets of them in the bits of one integer."""
+
+_PADDING = 8
+"""Lengths are rounded up to a multiple of it, so that batches of a task often have one shape."""
 
 
 def checked_device(device: str | torch.device) -> torch.device:
@@ -204,28 +207,50 @@ class Tables:
             margin=settings.margin,
             own_edge_width=own.edge_width,
             own_margin=own.margin,
-            per_step=torch.from_numpy((steps - 1) / (speed.duration * speed.fraction * speed.velocity)),
+            per_step=torch.from_numpy(
+                (steps - 1) / (speed.duration * speed.fraction * speed.velocity)
+            ),
             lower=torch.from_numpy(bounds.lower + bounds.margin),
             upper=torch.from_numpy(bounds.upper - bounds.margin),
             tools=_tool_tables(problems, settings, steps),
         )
         return tables.to(device, dtype)
 
+    def of_problems(self, numbers: Sequence[int]) -> Tables:
+        """Return the tables of some of the problems, in the order of their numbers."""
+        if list(numbers) == list(range(self.count)):
+            return self
+        index = torch.tensor(numbers, device=self.chain.device)
+        per_problem = {"stages": self.stages, "body": self.body, "tools": self.tools}
+        return replace(
+            self, **{name: _with_each(v, lambda t: t[index]) for name, v in per_problem.items()}
+        )
+
     def to(self, device: torch.device, dtype: torch.dtype) -> Tables:
         """Return the tables on a device, what is not an integer in `dtype`."""
-        return _moved(self, device, dtype)
+
+        def moved(tensor: Tensor) -> Tensor:
+            kind = dtype if tensor.is_floating_point() else tensor.dtype
+            return tensor.contiguous().to(device, kind)
+
+        return _with_each(self, moved)
+
+    def clone(self) -> Tables:
+        """Return the tables in memory of their own."""
+        return _with_each(self, Tensor.clone)
 
 
-def _moved(value: Any, device: torch.device, dtype: torch.dtype) -> Any:
+def _with_each(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
+    """Return tables with each tensor changed."""
     if isinstance(value, Tensor):
-        return value.to(device, dtype if value.is_floating_point() else value.dtype)
+        return change(value)
     if isinstance(value, tuple):
-        return tuple(_moved(part, device, dtype) for part in value)
+        return tuple(_with_each(part, change) for part in value)
     if isinstance(value, dict):
-        return {name: _moved(part, device, dtype) for name, part in value.items()}
+        return {name: _with_each(part, change) for name, part in value.items()}
     if isinstance(value, (Tables, BodyTables, ToolTables)):
         parts = {f.name: getattr(value, f.name) for f in fields(value)}
-        return replace(value, **{n: _moved(part, device, dtype) for n, part in parts.items()})
+        return replace(value, **{name: _with_each(part, change) for name, part in parts.items()})
     return value
 
 
@@ -296,11 +321,9 @@ def _pose_row(pose: FloatArray) -> FloatArray:
 
 
 def _stack(arrays: Iterable[NDArray[Any]]) -> Tensor:
-    """Stack arrays that may differ in length, padded with zeros; equal ones are stored once."""
+    """Stack arrays that may differ in length, padded with zeros to a multiple of `_PADDING`."""
     given = list(arrays)
-    if all(np.array_equal(a, given[0]) for a in given[1:]):
-        return torch.from_numpy(np.ascontiguousarray(given[0])).expand(len(given), *given[0].shape)
-    longest = max(len(a) for a in given)
+    longest = -(-max(len(a) for a in given) // _PADDING) * _PADDING
     out = np.zeros((len(given), longest, *given[0].shape[1:]), given[0].dtype)
     for row, array in zip(out, given, strict=True):
         row[: len(array)] = array
@@ -338,13 +361,13 @@ def _body_tables(parts: Sequence[Any], steps: int) -> BodyTables:
         count.stop,
         torch.tensor(scales, dtype=torch.float64),
         _stack(spheres),
-        _stack(offsets),
-        _stack(balls),
+        torch.from_numpy(np.stack(offsets)),
+        torch.from_numpy(np.stack(balls)),
         _stack(rows),
         torch.tensor([len(row) for row in rows], dtype=torch.int32),
         masks,
         pair_links,
-        _stack(levers),
+        torch.from_numpy(np.stack(levers)),
     )
 
 
@@ -391,9 +414,7 @@ def _tool_tables(
     return tables
 
 
-def _boxes(
-    constraint: Constraint, settings: PlanSettings, steps: int
-) -> tuple[NDArray[Any], ...]:
+def _boxes(constraint: Constraint, settings: PlanSettings, steps: int) -> tuple[NDArray[Any], ...]:
     """Return the columns of `ToolTables` of one constraint."""
     if isinstance(constraint, Reaching):
         boxes = constraint.boxes(settings)

@@ -18,7 +18,14 @@ from smp_planner.planning.problem import Problem
 from smp_planner.planning.ranking import rank
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["Verdict", "assess", "free_waypoints", "make_plan", "signatures"]
+__all__ = [
+    "Verdict",
+    "assess",
+    "constraints_met",
+    "free_waypoints",
+    "make_plan",
+    "signatures",
+]
 
 _ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
 """Shift, m, of the middles of obstacles for signatures: in a scene made by hand, a
@@ -74,13 +81,21 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
         # With all that it carries in the end, the body must stay clear of itself, too.
         free = free & body.check(trajectories, ()).free
     executable, duration = body.execution(trajectories, settings.duration_limit)
-    missed, passing = {}, np.ones(count, np.bool_)
+    missed, passing = constraints_met(problem, trajectories, settings)
+    return Verdict(free, clearance, executable, duration, missed, passing)
+
+
+def constraints_met(
+    problem: Problem, trajectories: FloatArray, settings: PlanSettings
+) -> tuple[dict[str, FloatArray], BoolArray]:
+    """Return by how much trajectories (P, T, D) miss constraints, and (P,) whether all are met."""
+    missed, passing = {}, np.ones(len(trajectories), np.bool_)
     for constraint in problem.constraints:
         value = constraint.missed(trajectories)
         passing &= value <= constraint.slack(settings)
         if constraint.cost(settings) is not None:
             missed[constraint.name] = np.maximum(value, 0.0)
-    return Verdict(free, clearance, executable, duration, missed, passing)
+    return missed, passing
 
 
 def make_plan(
@@ -92,6 +107,7 @@ def make_plan(
     weights: FloatArray | None = None,
     components: IntArray | None = None,
     reason: str = "no particle is good",
+    verdict: Verdict | None = None,
 ) -> Plan:
     """Return the plan that trajectories amount to: checked and put in order.
 
@@ -103,8 +119,9 @@ def make_plan(
         weights: (P, K, D) of the primitive, if there is one.
         components: (P,), see `Plan`.
         reason: what the plan's message begins with if no particle is good.
+        verdict: of the check, if it is made already.
     """
-    verdict = assess(problem, trajectories, settings)
+    verdict = verdict or assess(problem, trajectories, settings)
     message = ""
     if not verdict.good.any():
         message = (

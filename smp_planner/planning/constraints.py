@@ -27,12 +27,12 @@ from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
 __all__ = [
     "Constraint",
-    "ToolBoxes",
     "Exactly",
     "Passing",
     "Place",
     "Poses",
     "Reaching",
+    "ToolBoxes",
     "ToolPath",
     "at_phases",
     "mixture_cost",

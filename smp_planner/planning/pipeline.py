@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,16 +22,20 @@ from torch import Tensor
 
 from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import UnreachableError
-from smp_planner.adaptation import Adaptation, Runs
+from smp_planner.adaptation import Adaptation, Runs, SteinSettings
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.constraints import Constraint
+from smp_planner.planning.own_costs import OwnCost
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+
+if TYPE_CHECKING:
+    from smp_planner.batch.planning import DevicePlanner, Finished
 
 __all__ = [
     "Part",
@@ -187,6 +193,9 @@ def plan_problems(
     prior: Prior,
     adaptation: Adaptation,
     settings: PlanSettings,
+    *,
+    own: Mapping[str, tuple[float, OwnCost]] = MappingProxyType({}),
+    device: DevicePlanner | None = None,
 ) -> list[Plan]:
     """Return one plan for each problem; the same problem gives the same plan.
 
@@ -199,9 +208,12 @@ def plan_problems(
         prior: learned from demonstrations.
         adaptation: how draws of the prior are carried to the problems.
         settings: map, costs and number of tries.
+        own: costs of one's own by name, each with its weight.
+        device: what adapts and checks all problems together; None does it problem by problem.
 
     Raises:
         UnreachableError: a goal is out of reach.
+        ValueError: the problems cannot be planned together on a device.
     """
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
@@ -209,28 +221,29 @@ def plan_problems(
         for number in range(tries):
             open_ = [attempt for attempt in attempts if not attempt.done]
             for attempt in open_:
-                _draw(attempt, prior, adaptation, settings, 2.0**number)
+                if adaptation.adapt is not None and attempt.target is None and device is None:
+                    with attempt.stopwatch.stage("map"):
+                        attempt.target = SceneTarget(attempt.problem, settings, dict(own))
+                _draw(attempt, prior, settings, 2.0**number)
             open_ = [attempt for attempt in open_ if not attempt.done]
-            _adapt(open_, adaptation, settings)
-            for attempt in open_:
-                plan = _plan_of(attempt, prior, settings)
+            if device is None:
+                _adapt(open_, adaptation, settings)
+                plans = [_plan_of(attempt, prior, settings) for attempt in open_]
+            else:
+                plans = _on_device(open_, prior, adaptation, settings, own, device)
+            for attempt, plan in zip(open_, plans, strict=True):
                 if attempt.best is None or plan.good.any():
                     attempt.best = plan
                 attempt.done = bool(attempt.best.good.any())
-    plans = []
+    chosen = []
     for attempt in attempts:
         assert attempt.best is not None
-        plans.append(replace(attempt.best, timings=attempt.stopwatch.timings))
-    return plans
+        chosen.append(replace(attempt.best, timings=attempt.stopwatch.timings))
+    return chosen
 
 
-def _draw(
-    attempt: _Attempt, prior: Prior, adaptation: Adaptation, settings: PlanSettings, width: float
-) -> None:
-    """Make the target and draw the particles of one attempt."""
-    if adaptation.adapt is not None and attempt.target is None:
-        with attempt.stopwatch.stage("map"):
-            attempt.target = SceneTarget(attempt.problem, settings)
+def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float) -> None:
+    """Draw the particles of one attempt."""
     with attempt.stopwatch.stage("conditioning"):
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
@@ -288,13 +301,24 @@ def _good(
     return np.stack(found)
 
 
-def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
-    """Return the plan that the particles of one attempt amount to."""
+def _plan_of(
+    attempt: _Attempt, prior: Prior, settings: PlanSettings, finished: Finished | None = None
+) -> Plan:
+    """Return the plan that the particles of one attempt amount to.
+
+    Args:
+        attempt: with adapted particles.
+        prior: gives the basis.
+        settings: see `plan_problems`.
+        finished: what a device found of them already.
+    """
     parts, primitive = attempt.parts, prior.single
-    weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
+    weights = _weights(attempt)
     distance = torch.cat([0.5 * part.latent.square().sum(-1) for part in parts])
     costs = {"prior": distance.numpy()}
-    if attempt.target is not None:
+    if finished is not None:
+        costs |= finished.costs
+    elif attempt.target is not None:
         with attempt.stopwatch.stage("inference"):
             planned = primitive.trajectory(weights, settings.planning_steps).numpy()
             costs |= attempt.target.costs(planned)
@@ -304,11 +328,76 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
             [part.component for part in parts], [len(part.latent) for part in parts]
         )
     with attempt.stopwatch.stage("verification"):
+        if finished is None:
+            trajectories = primitive.trajectory(weights, settings.samples).numpy()
+        else:
+            trajectories = finished.trajectories
         return make_plan(
             attempt.problem,
-            primitive.trajectory(weights, settings.samples).numpy(),
+            trajectories,
             costs,
             settings,
             weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
             components=components,
+            verdict=None if finished is None else finished.verdict,
         )
+
+
+def _weights(attempt: _Attempt) -> Tensor:
+    """Return the weights (P, K*D) of the particles of all parts."""
+    return torch.cat([part.primitive.unwhiten(part.latent) for part in attempt.parts])
+
+
+def _on_device(
+    attempts: Sequence[_Attempt],
+    prior: Prior,
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    own: Mapping[str, tuple[float, OwnCost]],
+    device: DevicePlanner,
+) -> list[Plan]:
+    """Return the plans of attempts, adapted and checked together on a device."""
+    if not attempts:
+        return []
+    everyone = [(attempt, 1.0 / len(attempts)) for attempt in attempts]
+    problems = [attempt.problem for attempt in attempts]
+    tables = None
+    if adaptation.adapt is not None:
+        if not isinstance(adaptation.settings, SteinSettings):
+            raise ValueError("only the methods 'smp' and 'promp' can be planned on a device")
+        with _shared("map", everyone):
+            tables = device.tables(problems, settings, settings.planning_steps)
+        groups: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+        for number, attempt in enumerate(attempts):
+            for index, part in enumerate(attempt.parts):
+                groups.setdefault(tuple(part.latent.shape), []).append((number, index))
+        for group in groups.values():
+            parts = [attempts[number].parts[index] for number, index in group]
+            numbers = [number for number, _ in group]
+            with _shared("inference", [(attempts[n], 1.0 / len(group)) for n in numbers]):
+                adapted = device.adapt(
+                    tables.of_problems(numbers),
+                    [part.primitive for part in parts],
+                    torch.stack([part.latent for part in parts]),
+                    adaptation.settings,
+                    own,
+                )
+            for (number, index), part, latent in zip(group, parts, adapted, strict=True):
+                attempts[number].parts[index] = replace(part, latent=latent)
+    with _shared("verification", everyone):
+        weights = torch.stack([_weights(attempt) for attempt in attempts])
+        found = device.finish(problems, weights, prior.single, settings, own, tables)
+    return [
+        _plan_of(attempt, prior, settings, finished)
+        for attempt, finished in zip(attempts, found, strict=True)
+    ]
+
+
+@contextmanager
+def _shared(name: str, attempts: Sequence[tuple[_Attempt, float]]) -> Iterator[None]:
+    """Add shares of the time spent inside to a stage of attempts."""
+    begin = time.perf_counter()
+    yield
+    seconds = time.perf_counter() - begin
+    for attempt, share in attempts:
+        attempt.stopwatch.add(name, share * seconds)
