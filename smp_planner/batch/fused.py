@@ -42,11 +42,15 @@ class FusedCosts:
         tables: the problems, in float32.
         parts: programs that share a block of configurations; by default as many as there are too
             few blocks.
+        registers: that a thread may have; None leaves it to the compiler.
     """
 
-    def __init__(self, tables: Tables, parts: int | None = None) -> None:
+    def __init__(
+        self, tables: Tables, parts: int | None = None, registers: int | None = None
+    ) -> None:
         self.tables = tables
         self.parts = parts
+        self._options = {"num_warps": 1} | ({} if registers is None else {"maxnreg": registers})
         self._whole = next(
             (
                 number
@@ -152,7 +156,7 @@ class FusedCosts:
             VALUES=gradient is None,
             PARTS=parts,
             BLOCK=BLOCK,
-            num_warps=1,
+            **self._options,
         )
 
     def _tools(self, trajectories: Tensor, gradient: Tensor) -> None:

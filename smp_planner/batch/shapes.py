@@ -14,7 +14,7 @@ from torch import Tensor
 __all__ = ["LOCAL_DISTANCES", "Profile", "profile_distance"]
 
 Profile = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Map from points (..., 3) and half-extents (..., 3) to the coordinates (..., 3), each measured from
+"""Map from points (..., 3) and half-extents (..., 3) to coordinates (..., 3), each measured from
 the surface outwards along directions that are orthogonal, and to these directions (..., 3, 3)."""
 
 _ABSENT = -1e3

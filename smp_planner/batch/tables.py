@@ -27,7 +27,14 @@ from smp_planner.planning.constraints import Constraint, Reaching, ToolPath, seg
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["OBSTACLE_ROW", "BodyTables", "Tables", "ToolTables", "checked_device"]
+__all__ = [
+    "OBSTACLE_ROW",
+    "BodyTables",
+    "Tables",
+    "ToolTables",
+    "checked_device",
+    "obstacle_rows",
+]
 
 OBSTACLE_ROW = 16
 """Numbers of an obstacle: shape, rotation to its frame (9), centre (3), half-extents (3)."""
@@ -346,7 +353,7 @@ def _body_tables(parts: Sequence[Any], steps: int) -> BodyTables:
             np.searchsorted(model.link[order], np.arange(model.joints + 2)).astype(np.int32)
         )
         balls.append(np.column_stack([pairs.ball_center, pairs.ball_radius]))
-        rows.append(_obstacle_rows(part.obstacles))
+        rows.append(obstacle_rows(part.obstacles))
         lever = np.zeros((model.joints + 1, model.joints))
         np.maximum.at(lever, model.link, model.levers)
         levers.append(lever)
@@ -371,8 +378,8 @@ def _body_tables(parts: Sequence[Any], steps: int) -> BodyTables:
     )
 
 
-def _obstacle_rows(obstacles: Sequence[Any]) -> FloatArray:
-    """Return (O, `OBSTACLE_ROW`)."""
+def obstacle_rows(obstacles: Sequence[Any]) -> FloatArray:
+    """Return the rows (O, `OBSTACLE_ROW`) of obstacles; see `BodyTables`."""
     packed, codes = PackedObstacles.of(obstacles), list(LOCAL_DISTANCES)
     shape = np.array([codes.index(SHAPES[s]) for s in packed.shape], np.float64)
     rotation = packed.rotation.reshape(-1, 9)
