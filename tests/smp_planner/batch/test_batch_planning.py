@@ -84,7 +84,7 @@ def test_conditioning_alone_can_be_planned_on_a_device(problems):
 
 
 def test_a_device_that_does_not_exist_is_named(planner, problems):
-    with pytest.raises(ValueError, match="device must be one of 'cpu'.*got 'cuda:99'"):
+    with pytest.raises(ValueError, match=r"device must be one of 'cpu'.*got 'cuda:99'"):
         planner.plan(problems, "cuda:99")
     with pytest.raises(ValueError, match="device must be 'cpu' or 'cuda', got 'gpu'"):
         planner.plan(problems, "gpu")
