@@ -1,8 +1,8 @@
 """Stein variational gradient descent of a batch on one device: Algorithm 1 without the host.
 
 Whitened particles z and trajectories are related by one affine map for each run,
-q = Φ μ + (Φ L) z, so that an iteration multiplies by it once and by its transpose once. None
-of them waits for the device. On CUDA all of them are recorded as one graph, which is launched at once.
+q = Φ μ + (Φ L) z, so that an iteration multiplies by it once and by its transpose once. None of
+them waits for the device. On CUDA all are recorded as one graph, which is launched at once.
 """
 
 from __future__ import annotations
