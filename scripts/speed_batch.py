@@ -73,8 +73,8 @@ def run(
         first = {"measured": "particles", "scenes": kept, "good": float(shares.mean())}
         rows = itertools.chain(
             [first],
-            batch_speed.iteration_rows(batch, device, numbers, naive, repeats),
             batch_speed.plan_rows(batch, device, numbers, repeats, plans),
+            batch_speed.iteration_rows(batch, device, numbers, naive, repeats),
         )
         for row in rows:
             console.print(row)

@@ -26,6 +26,10 @@ _WARPS_WANTED = 2048
 
 _MOST_PARTS = 8
 
+_REGISTERS = 168
+"""That a thread may have: at 1024 scenes on an H200 a gradient took 9.3 ms with 168, 9.6 with 128,
+10.6 with 96, and 12.2 with the 244 that the compiler takes."""
+
 
 def _blocks(count: int) -> int:
     return math.ceil(count / BLOCK)
@@ -42,15 +46,15 @@ class FusedCosts:
         tables: the problems, in float32.
         parts: programs that share a block of configurations; by default as many as there are too
             few blocks.
-        registers: that a thread may have; None leaves it to the compiler.
+        registers: that a thread may have.
     """
 
     def __init__(
-        self, tables: Tables, parts: int | None = None, registers: int | None = None
+        self, tables: Tables, parts: int | None = None, registers: int = _REGISTERS
     ) -> None:
         self.tables = tables
         self.parts = parts
-        self._options = {"num_warps": 1} | ({} if registers is None else {"maxnreg": registers})
+        self._options = {"num_warps": 1, "maxnreg": registers}
         self._whole = next(
             (
                 number

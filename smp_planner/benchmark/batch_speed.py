@@ -289,12 +289,6 @@ def _gradients(
         from smp_planner.batch.fused import FusedCosts
 
         found["fused"] = FusedCosts(tables).gradient
-        for parts in (1, 4, 16):
-            found[f"fused, {parts} parts"] = FusedCosts(tables, parts).gradient
-        for registers in (128, 168):
-            found[f"fused, {registers} registers"] = FusedCosts(
-                tables, registers=registers
-            ).gradient
     if naive:
         plain = PlainCosts(tables)
 
