@@ -15,7 +15,7 @@ ROUND = (
     Obstacle(
         shape="cylinder",
         position=(0.4, -0.1, 0.3),
-        quaternion=(0.38, 0.0, 0.0, 0.92),
+        quaternion=(0.6, 0.0, 0.0, 0.8),
         size=(0.04, 0.04, 0.12),
     ),
 )

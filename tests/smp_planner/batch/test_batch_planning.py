@@ -63,7 +63,7 @@ def test_a_cost_of_ones_own_works_on_every_path(planner, problems):
 
     for device in (None, "cpu"):
         (without,) = planner.plan(problems[:1], device)
-        (plan,) = planner.plan(problems[:1], device, own={"high": (300.0, high)})
+        (plan,) = planner.plan(problems[:1], device, own={"high": (3000.0, high)})
         assert plan.costs["high"].shape == (8,)
         before = high(torch.from_numpy(without.trajectories)).mean()
         assert plan.costs["high"].mean() < 0.7 * float(before)
@@ -90,10 +90,8 @@ def test_a_device_that_does_not_exist_is_named(planner, problems):
         planner.plan(problems, "gpu")
 
 
-def test_an_empty_batch_is_refused_on_a_device(planner):
-    assert planner.plan([]) == []
-    with pytest.raises(ValueError, match="problems must hold at least one problem"):
-        planner.plan([], "cpu")
+def test_an_empty_batch_has_no_plans(planner):
+    assert planner.plan([]) == planner.plan([], "cpu") == []
 
 
 def test_problems_of_different_robots_are_refused(planner, problems):
