@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from torch import Tensor
 
 from smp_planner.adaptation.runs import Good, Runs, Target
-from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
+from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
 
-__all__ = ["SteinSettings", "stein"]
+__all__ = ["SteinSettings", "inference_of", "iterate", "stein"]
 
 _TIMED = 2
 """Iterations after which it is asked how many more there is time for."""
@@ -53,16 +53,46 @@ class SteinSettings(BaseModel):
         return name
 
 
-def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+def inference_of(settings: SteinSettings) -> SVGDSettings:
+    """Return the settings of SVGD, without a metric."""
     inference = replace(named_settings(settings.inference), iterations=settings.iterations)
     if settings.step_size is not None:
         inference = replace(inference, step_size=settings.step_size)
+    return inference
+
+
+def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+    inference = inference_of(settings)
     if inference.needs_metric:
         root = runs.primitives[0].path_root(runs.steps)
         if inference.whiten:
             root = runs.primitives[0].whiten_gradient(root)
         inference = inference.with_metric(root)
     return inference
+
+
+def iterate(runs: Runs, state: State, target: Target, inference: SVGDSettings) -> State:
+    """Return the state after one more iteration, without waiting for the device that it is on.
+
+    Args:
+        runs: the priors.
+        state: before it.
+        target: the costs.
+        inference: the settings with which `state` began.
+    """
+    particles = state.particles
+    progress = state.iteration / max(inference.iterations - 1, 1)
+    if inference.whiten:
+        gradient = target.gradient(runs.latent_trajectories(particles), progress)
+        prior_score, score = -particles, -runs.latent_gradient(gradient)
+    else:
+        gradient = target.gradient(runs.trajectories(particles), progress)
+        prior_score, score = runs.score(particles), -runs.pull_back(gradient)
+    state = step(state, prior_score, score, inference, validate=False)
+    if not inference.whiten:
+        # Raw weights leave what conditioning made certain, the start above all.
+        state = state._replace(particles=runs.project(state.particles))
+    return state
 
 
 def stein(
@@ -81,13 +111,12 @@ def stein(
     settle before the end.
     """
     inference = _inference(runs, settings)
-    whiten = inference.whiten
     ask = settings.early_stop and good is not None
 
     def whitened(particles: Tensor) -> Tensor:
-        return particles if whiten else runs.whiten(particles)
+        return particles if inference.whiten else runs.whiten(particles)
 
-    state = init(latent if whiten else runs.unwhiten(latent), inference)
+    state = init(latent if inference.whiten else runs.unwhiten(latent), inference)
     begin = time.perf_counter()
     while state.iteration < inference.iterations:
         if until < math.inf and state.iteration >= _TIMED:
@@ -97,19 +126,8 @@ def stein(
                 break
             if state.iteration + room < inference.iterations:
                 inference = replace(inference, iterations=state.iteration + room)
-        iteration = state.iteration
         particles = state.particles
-        progress = iteration / max(inference.iterations - 1, 1)
-        if whiten:
-            gradient = target.gradient(runs.latent_trajectories(particles), progress)
-            prior_score, score = -particles, -runs.latent_gradient(gradient)
-        else:
-            gradient = target.gradient(runs.trajectories(particles), progress)
-            prior_score, score = runs.score(particles), -runs.pull_back(gradient)
-        state = step(state, prior_score, score, inference, validate=False)
-        if not whiten:
-            # Raw weights leave what conditioning made certain, the start above all.
-            state = state._replace(particles=runs.project(state.particles))
+        state = iterate(runs, state, target, inference)
         if ask:
             before, after = whitened(particles), whitened(state.particles)
             movement = float((after - before).square().mean(-1).sqrt().mean())

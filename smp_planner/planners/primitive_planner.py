@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, create_model
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.adaptation import ADAPTATIONS, Adaptation
+from smp_planner.batch.planning import DevicePlanner
+from smp_planner.planning.own_costs import OwnCosts, checked_own_costs
 from smp_planner.planning.pipeline import one_thread, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior, learn_prior
@@ -61,6 +63,7 @@ class PrimitivePlanner:
         self.plan_settings = PlanSettings.model_validate(given(PlanSettings))
         own = type(kind.settings)
         self.adaptation: Adaptation = replace(kind, settings=own.model_validate(given(own)))
+        self._devices: dict[str, DevicePlanner] = {}
         with one_thread():
             self.prior: Prior = learn_prior(
                 list(np.array(demonstrations.configurations)),
@@ -79,27 +82,46 @@ class PrimitivePlanner:
     def plan(
         self,
         problems: Sequence[Problem],
+        device: str | None = None,
         *,
+        own: OwnCosts | None = None,
         deadline: float | None = None,
         threads: int | None = None,
     ) -> list[Plan]:
         """Return one plan for each problem; without a deadline, the same problem gives the same.
 
+        On a device all problems are planned at once, in float32 and with the exact distance to
+        obstacles in place of a map. So numbers differ from those without a device, and a little
+        from batch to batch. "cpu" is the reference of "cuda": without a device it goes faster.
+
         Args:
-            problems: to be solved.
+            problems: to be solved; on a device, at least one, all of one robot and one task.
+            device: "cuda", "cuda:1", …, or "cpu"; None plans problem by problem on the processor.
+            own: costs of one's own by name, each a weight and a function in torch; see `OwnCost`.
             deadline: s, and `threads`: see `smp_planner.planning.pipeline.plan_problems`.
-            threads: that share the particles.
+            threads: that share the particles, without a device.
 
         Raises:
             UnreachableError: a goal is out of reach.
-            ValueError: `deadline` is not a positive number, or the method has none; or `threads` is
-                not a positive integer.
+            ValueError: there is no such device, or it cannot plan these problems together or with
+                this method; a cost of one's own is none, or clashes with another's name;
+                `deadline` is not a positive number, or the method or device keeps none; or
+                `threads` is not a positive integer.
         """
+        costs = checked_own_costs(own)
+        if costs and self.adaptation.adapt is None:
+            raise ValueError("own must be empty where nothing is adapted, as by 'promp'")
+        found = None
+        if device is not None:
+            found = self._devices.get(device) or DevicePlanner.of(device)
+            self._devices[device] = found
         return plan_problems(
             problems,
             self.prior,
             self.adaptation,
             self.plan_settings,
+            own=costs,
+            device=found,
             deadline=deadline,
             threads=threads,
         )

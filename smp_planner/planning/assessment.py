@@ -20,7 +20,14 @@ from smp_planner.planning.problem import Problem
 from smp_planner.planning.ranking import demanded_and_merit, rank
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["Verdict", "assess", "free_waypoints", "make_plan", "signatures"]
+__all__ = [
+    "Verdict",
+    "assess",
+    "constraints_met",
+    "free_waypoints",
+    "make_plan",
+    "signatures",
+]
 
 _ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
 """Shift, m, of the middles of obstacles for signatures: in a scene made by hand, a
@@ -67,13 +74,7 @@ class _Limits(NamedTuple):
 
 def _limits(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> _Limits:
     executable, duration = problem.body.execution(trajectories, settings.duration_limit)
-    missed, passing = {}, np.ones(len(trajectories), np.bool_)
-    for constraint in problem.constraints:
-        value = constraint.missed(trajectories)
-        passing &= value <= constraint.slack(settings)
-        if constraint.cost(settings) is not None:
-            missed[constraint.name] = np.maximum(value, 0.0)
-    return _Limits(executable, duration, missed, passing)
+    return _Limits(executable, duration, *constraints_met(problem, trajectories, settings))
 
 
 def _collisions(problem: Problem, trajectories: FloatArray) -> tuple[BoolArray, FloatArray]:
@@ -118,6 +119,7 @@ class _BestFirst:
         costs: as of `rank`.
         limits: what else there is to tell.
         until: time of `time.perf_counter` from which on nothing more is checked, but for the first.
+        known: whether particles are free and how clear, if they are checked already.
 
     Attributes:
         chosen: see `Checks`.
@@ -132,12 +134,15 @@ class _BestFirst:
         costs: Mapping[str, FloatArray],
         limits: _Limits,
         until: float = math.inf,
+        known: tuple[BoolArray, FloatArray] | None = None,
     ) -> None:
         self._problem, self._trajectories, self._costs = problem, trajectories, costs
         self._limits = limits
         count = len(trajectories)
+        self._checked = np.full(count, known is not None)
         self._free, self._clearance = np.zeros(count, np.bool_), np.full(count, np.nan)
-        self._checked = np.zeros(count, np.bool_)
+        if known is not None:
+            self._free, self._clearance = known
         bounds = self._keys(np.ones(count, np.bool_), np.full(count, np.inf))
         order = sorted(range(count), key=bounds.__getitem__, reverse=True)
         best = None
@@ -148,7 +153,8 @@ class _BestFirst:
             if best is not None and time.perf_counter() > until:
                 self.ended_early = True
                 break
-            self._check(np.array([index]))
+            if not self._checked[index]:
+                self._check(np.array([index]))
             key = self._keys(self._free, self._clearance)[index]
             best = key if best is None else max(best, key)
         assert best is not None
@@ -200,6 +206,19 @@ class _BestFirst:
         }
 
 
+def constraints_met(
+    problem: Problem, trajectories: FloatArray, settings: PlanSettings
+) -> tuple[dict[str, FloatArray], BoolArray]:
+    """Return by how much trajectories (P, T, D) miss constraints, and (P,) whether all are met."""
+    missed, passing = {}, np.ones(len(trajectories), np.bool_)
+    for constraint in problem.constraints:
+        value = constraint.missed(trajectories)
+        passing &= value <= constraint.slack(settings)
+        if constraint.cost(settings) is not None:
+            missed[constraint.name] = np.maximum(value, 0.0)
+    return missed, passing
+
+
 def make_plan(
     problem: Problem,
     trajectories: FloatArray,
@@ -210,6 +229,7 @@ def make_plan(
     components: IntArray | None = None,
     reason: str = "no particle is good",
     until: float = math.inf,
+    verdict: Verdict | None = None,
 ) -> Plan:
     """Return the plan that trajectories amount to: the best one is checked, the rest on demand.
 
@@ -223,9 +243,15 @@ def make_plan(
         reason: what the plan's message begins with if no particle is good.
         until: time of `time.perf_counter` from which on the best one of those checked so far is
             taken.
+        verdict: of the check, if it is made already.
     """
-    limits = _limits(problem, trajectories, settings)
-    checks = _BestFirst(problem, trajectories, costs, limits, until)
+    if verdict is None:
+        limits = _limits(problem, trajectories, settings)
+        checks = _BestFirst(problem, trajectories, costs, limits, until)
+    else:
+        limits = _Limits(verdict.executable, verdict.duration, verdict.missed, verdict.passing)
+        known = verdict.free, verdict.clearance
+        checks = _BestFirst(problem, trajectories, costs, limits, known=known)
     plan = Plan.pending(
         checks,
         trajectories=trajectories,

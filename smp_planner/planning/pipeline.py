@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,17 +22,21 @@ from torch import Tensor
 
 from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import UnreachableError
-from smp_planner.adaptation import Adaptation, Runs
+from smp_planner.adaptation import Adaptation, Runs, SteinSettings
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.constraints import Constraint
+from smp_planner.planning.own_costs import OwnCost
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
 from smp_planner.planning.threads import Threads, default_threads
+
+if TYPE_CHECKING:
+    from smp_planner.batch.planning import DevicePlanner, Finished
 
 __all__ = [
     "Part",
@@ -194,6 +200,8 @@ def plan_problems(
     *,
     deadline: float | None = None,
     threads: int | None = None,
+    own: Mapping[str, tuple[float, OwnCost]] = MappingProxyType({}),
+    device: DevicePlanner | None = None,
 ) -> list[Plan]:
     """Return one plan for each problem; without a deadline, the same problem gives the same plan.
 
@@ -214,11 +222,14 @@ def plan_problems(
         deadline: s from the call, for all problems together; none by default.
         threads: that share the particles of a plan, `default_threads` by default; the plan does
             not depend on it.
+        own: costs of one's own by name, each with its weight.
+        device: what adapts and checks all problems together; None does it problem by problem.
 
     Raises:
         UnreachableError: a goal is out of reach.
-        ValueError: `deadline` is not a positive number, or the adaptation cannot keep one; or
-            `threads` is not a positive integer.
+        ValueError: `deadline` is not a positive number, or the adaptation or a device cannot keep
+            one; `threads` is not a positive integer; or the problems cannot be planned together on
+            a device.
     """
     begin = time.perf_counter()
     until = math.inf
@@ -227,6 +238,8 @@ def plan_problems(
             raise ValueError(f"deadline must be a positive number of seconds, got {deadline}")
         if adaptation.adapt is not None and not adaptation.timely:
             raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
+        if device is not None:
+            raise ValueError(f"deadline must be None on a device, got {deadline}")
         until = begin + deadline
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
@@ -236,33 +249,31 @@ def plan_problems(
                 break
             open_ = [attempt for attempt in attempts if not attempt.done]
             for attempt in open_:
-                _draw(attempt, prior, adaptation, settings, 2.0**number, pool)
+                if adaptation.adapt is not None and attempt.target is None and device is None:
+                    with attempt.stopwatch.stage("map"):
+                        attempt.target = SceneTarget(
+                            attempt.problem, settings, dict(own), threads=pool
+                        )
+                _draw(attempt, prior, settings, 2.0**number)
             open_ = [attempt for attempt in open_ if not attempt.done]
-            _adapt(open_, adaptation, settings, until)
-            for attempt in open_:
-                plan = _plan_of(attempt, prior, settings, until)
+            if device is None:
+                _adapt(open_, adaptation, settings, until)
+                plans = [_plan_of(attempt, prior, settings, until) for attempt in open_]
+            else:
+                plans = _on_device(open_, prior, adaptation, settings, own, device)
+            for attempt, plan in zip(open_, plans, strict=True):
                 if attempt.best is None or plan.solved:
                     attempt.best = plan
                 attempt.done = attempt.best.solved
-    plans = []
+    chosen = []
     for attempt in attempts:
         assert attempt.best is not None
-        plans.append(attempt.best.timed(attempt.stopwatch.timings))
-    return plans
+        chosen.append(attempt.best.timed(attempt.stopwatch.timings))
+    return chosen
 
 
-def _draw(
-    attempt: _Attempt,
-    prior: Prior,
-    adaptation: Adaptation,
-    settings: PlanSettings,
-    width: float,
-    threads: Threads,
-) -> None:
-    """Make the target and draw the particles of one attempt."""
-    if adaptation.adapt is not None and attempt.target is None:
-        with attempt.stopwatch.stage("map"):
-            attempt.target = SceneTarget(attempt.problem, settings, threads=threads)
+def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float) -> None:
+    """Draw the particles of one attempt."""
     with attempt.stopwatch.stage("conditioning"):
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
@@ -328,13 +339,29 @@ def _good(
     return np.stack(found)
 
 
-def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings, until: float) -> Plan:
-    """Return the plan that the particles of one attempt amount to."""
+def _plan_of(
+    attempt: _Attempt,
+    prior: Prior,
+    settings: PlanSettings,
+    until: float = math.inf,
+    finished: Finished | None = None,
+) -> Plan:
+    """Return the plan that the particles of one attempt amount to.
+
+    Args:
+        attempt: with adapted particles.
+        prior: gives the basis.
+        settings: see `plan_problems`.
+        until: time of `time.perf_counter` from which on no more particles are checked.
+        finished: what a device found of them already.
+    """
     parts, primitive = attempt.parts, prior.single
-    weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
+    weights = _weights(attempt)
     distance = torch.cat([0.5 * part.latent.square().sum(-1) for part in parts])
     costs = {"prior": distance.numpy()}
-    if attempt.target is not None:
+    if finished is not None:
+        costs |= finished.costs
+    elif attempt.target is not None:
         with attempt.stopwatch.stage("inference"):
             planned = primitive.trajectory(weights, settings.planning_steps).numpy()
             costs |= attempt.target.costs(planned)
@@ -344,12 +371,77 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings, until: flo
             [part.component for part in parts], [len(part.latent) for part in parts]
         )
     with attempt.stopwatch.stage("verification"):
+        if finished is None:
+            trajectories = primitive.trajectory(weights, settings.samples).numpy()
+        else:
+            trajectories = finished.trajectories
         return make_plan(
             attempt.problem,
-            primitive.trajectory(weights, settings.samples).numpy(),
+            trajectories,
             costs,
             settings,
             weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
             components=components,
             until=until,
+            verdict=None if finished is None else finished.verdict,
         )
+
+
+def _weights(attempt: _Attempt) -> Tensor:
+    """Return the weights (P, K*D) of the particles of all parts."""
+    return torch.cat([part.primitive.unwhiten(part.latent) for part in attempt.parts])
+
+
+def _on_device(
+    attempts: Sequence[_Attempt],
+    prior: Prior,
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    own: Mapping[str, tuple[float, OwnCost]],
+    device: DevicePlanner,
+) -> list[Plan]:
+    """Return the plans of attempts, adapted and checked together on a device."""
+    if not attempts:
+        return []
+    everyone = [(attempt, 1.0 / len(attempts)) for attempt in attempts]
+    problems = [attempt.problem for attempt in attempts]
+    tables = None
+    if adaptation.adapt is not None:
+        if not isinstance(adaptation.settings, SteinSettings):
+            raise ValueError("only the methods 'smp' and 'promp' can be planned on a device")
+        with _shared("map", everyone):
+            tables = device.tables(problems, settings, settings.planning_steps)
+        groups: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+        for number, attempt in enumerate(attempts):
+            for index, part in enumerate(attempt.parts):
+                groups.setdefault(tuple(part.latent.shape), []).append((number, index))
+        for group in groups.values():
+            parts = [attempts[number].parts[index] for number, index in group]
+            numbers = [number for number, _ in group]
+            with _shared("inference", [(attempts[n], 1.0 / len(group)) for n in numbers]):
+                adapted = device.adapt(
+                    tables.of_problems(numbers),
+                    [part.primitive for part in parts],
+                    torch.stack([part.latent for part in parts]),
+                    adaptation.settings,
+                    own,
+                )
+            for (number, index), part, latent in zip(group, parts, adapted, strict=True):
+                attempts[number].parts[index] = replace(part, latent=latent)
+    with _shared("verification", everyone):
+        weights = torch.stack([_weights(attempt) for attempt in attempts])
+        found = device.finish(problems, weights, prior.single, settings, own, tables)
+    return [
+        _plan_of(attempt, prior, settings, finished=finished)
+        for attempt, finished in zip(attempts, found, strict=True)
+    ]
+
+
+@contextmanager
+def _shared(name: str, attempts: Sequence[tuple[_Attempt, float]]) -> Iterator[None]:
+    """Add shares of the time spent inside to a stage of attempts."""
+    begin = time.perf_counter()
+    yield
+    seconds = time.perf_counter() - begin
+    for attempt, share in attempts:
+        attempt.stopwatch.add(name, share * seconds)
