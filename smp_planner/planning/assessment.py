@@ -11,7 +11,10 @@ from scipy.spatial.transform import Rotation
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
+from smp_planner.collision.moving import clearance_in_time
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planning.constraints import Reaching
+from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
@@ -65,15 +68,26 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
     count = len(trajectories)
     free, clearance = np.ones(count, np.bool_), np.full(count, np.inf)
     body, whole = problem.body, False
+    samples, clock = trajectories.shape[1], problem.clock
     for stage in problem.stages:
-        part = trajectories[:, stage.steps(trajectories.shape[1])]
-        found = stage.body.check(part, stage.obstacles, stage.cloud)
+        steps = problem.ahead(stage, samples)
+        if steps.start == steps.stop:
+            continue
+        part = trajectories[:, steps]
+        standing, forecast = parted(problem, stage, settings)
+        found = stage.body.check(part, standing, stage.cloud)
         free, clearance = free & found.free, np.minimum(clearance, found.clearance)
+        if forecast is not None:
+            robot = robot_of(stage)
+            times = clock.times(trajectories, robot.velocity)[:, steps]
+            apart = clearance_in_time(part, times, robot, forecast)
+            free, clearance = free & (apart >= CLEARANCE_TOLERANCE), np.minimum(clearance, apart)
         whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
+    rest = slice(clock.first(samples) if clock.phase > 0.0 else 0, None)
     if not whole:
         # With all that it carries in the end, the body must stay clear of itself, too.
-        free = free & body.check(trajectories, ()).free
-    executable, duration = body.execution(trajectories, settings.duration_limit)
+        free = free & body.check(trajectories[:, rest], ()).free
+    executable, duration = body.execution(trajectories[:, rest], settings.duration_limit)
     missed, passing = {}, np.ones(count, np.bool_)
     for constraint in problem.constraints:
         value = constraint.missed(trajectories)

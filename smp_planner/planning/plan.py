@@ -29,11 +29,14 @@ class Plan:
             a point cloud as far as the map that was learned of it knows, and whether the
             trajectory stays where it does.
         clearance: (P,) least distance to an obstacle, negative inside; infinity without any. What
-            is farther from a point cloud than 0.15 (m, or extents) counts as that far.
+            is farther from a point cloud than 0.15 (m, or extents) counts as that far. Of obstacles
+            that move it is that to where they are expected when the arm is there, less the margin
+            of that (`smp_planner.collision.moving.Forecast`).
         missed: by how much (P,) each constraint is missed by its name ("start", "goal",
             "via_points"); 0 within a box or tolerance.
         passing: (P,) whether all constraints are met.
-        duration: (P,) s, shortest execution within the joint velocity limits; NaN without a robot.
+        duration: (P,) s, shortest execution within the joint velocity limits, of what is not done
+            yet; NaN without a robot.
         executable: (P,) whether joint limits hold and `duration` is within the planner's limit.
         ranks: (P,) place of each in the order in which the planner prefers them, 0 the best.
         signatures: (P, 1 + S) homotopy class of each: the index of the goal region that it ends
@@ -46,6 +49,8 @@ class Plan:
         message: empty, or why no particle is good.
         display: what `plot` draws beside the trajectories, by name.
         tool_paths: (P, T, 3) m, the paths of a robot's tool, where they were asked for.
+        state: from which the planner can go on (`smp_planner.planning.replanning`); None if it
+            cannot.
     """
 
     trajectories: FloatArray
@@ -64,6 +69,7 @@ class Plan:
     message: str = ""
     display: Mapping[str, Any] = field(default_factory=dict)
     tool_paths: FloatArray | None = None
+    state: Any = None
 
     def __repr__(self) -> str:
         """Return a line without the arrays."""

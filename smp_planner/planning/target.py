@@ -10,7 +10,9 @@ from torch import Tensor
 
 from smp_gym.arrays import FloatArray
 from smp_planner.collision.costs import REFERENCE_STEPS, Cost, ValueAndGradient, steps_scale
+from smp_planner.collision.moving import MovingCollisionCost
 from smp_planner.planning.bodies import ObstacleCost
+from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
@@ -25,6 +27,7 @@ class SceneTarget:
         problem: gives obstacles and constraints.
         settings: weights and widths.
         extra: further costs by name with their weights, functions of trajectories (P, T, D).
+        maps: of standing obstacles, if there are some already.
     """
 
     def __init__(
@@ -32,15 +35,22 @@ class SceneTarget:
         problem: Problem,
         settings: PlanSettings,
         extra: dict[str, tuple[float, Cost]] | None = None,
+        maps: SceneMaps | None = None,
     ) -> None:
         self.problem, self.settings = problem, settings
         self._stages: list[tuple[Stage, ObstacleCost]] = []
-        maps = SceneMaps(settings, problem.seed)
+        self._moving: list[tuple[Stage, MovingCollisionCost]] = []
+        maps = SceneMaps(settings, problem.seed) if maps is None else maps
         for stage in problem.stages:
-            cost = stage.body.obstacle_cost(stage.obstacles, stage.cloud, maps)
+            standing, forecast = parted(problem, stage, settings)
+            cost = stage.body.obstacle_cost(standing, stage.cloud, maps)
             if cost is not None:
                 self._stages.append((stage, cost))
-        terms = problem.body.limit_costs(settings)
+            if forecast is not None:
+                self._moving.append((stage, MovingCollisionCost(robot_of(stage), forecast)))
+        limits = problem.body.limit_costs(settings)
+        self._limits = tuple(limits)
+        terms = dict(limits)
         for constraint in problem.constraints:
             pull = constraint.cost(settings)
             if pull is not None:
@@ -66,9 +76,17 @@ class SceneTarget:
             progress: 0 in the first iteration to 1 in the last; narrows the map's edge.
         """
         gradient = self.settings.obstacle_weight * self.obstacle_gradient(trajectories, progress)
-        for weight, cost in self._terms.values():
-            gradient += weight * cost(trajectories)[1]
+        for name, (weight, cost) in self._terms.items():
+            rest = self._rest(name, trajectories.shape[1])
+            part = trajectories[:, rest]
+            share = part.shape[1] / trajectories.shape[1]
+            gradient[:, rest] += share * weight * cost(part)[1]
         return gradient
+
+    def _rest(self, name: str, count: int) -> slice:
+        """Return the steps that a cost sees: limits are kept by what is not done."""
+        clock = self.problem.clock
+        return slice(clock.first(count) if clock.phase > 0.0 and name in self._limits else 0, None)
 
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted, as `gradient`."""
@@ -94,7 +112,9 @@ class SceneTarget:
         count = trajectories.shape[1]
         value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
         for stage, cost in self._stages:
-            steps = stage.steps(count)
+            steps = self.problem.ahead(stage, count)
+            if steps.start == steps.stop:
+                continue
             part = trajectories[:, steps]
             # What lies between steps counts, not the steps: so a trajectory whose ends are clear
             # costs the same however finely it is sampled.
@@ -102,6 +122,17 @@ class SceneTarget:
             of_stage, slope = cost(part, width, margin)
             value += share * of_stage
             gradient[:, steps] += share * slope
+        if self._moving:
+            times = self.problem.clock.times(trajectories, self.problem.robot.velocity)
+            for stage, moving in self._moving:
+                steps = self.problem.ahead(stage, count)
+                if steps.start == steps.stop:
+                    continue
+                part = trajectories[:, steps]
+                share = (REFERENCE_STEPS - 1) / (count - 1) / steps_scale(part.shape[1])
+                of_stage, slope = moving(part, times[:, steps], width, margin)
+                value += share * of_stage
+                gradient[:, steps] += share * slope
         return value, gradient
 
 
