@@ -13,7 +13,7 @@ from torch import Tensor
 from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
 
-__all__ = ["SteinSettings", "stein"]
+__all__ = ["SteinSettings", "inference_of", "stein"]
 
 
 class SteinSettings(BaseModel):
@@ -48,7 +48,8 @@ class SteinSettings(BaseModel):
         return name
 
 
-def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+def inference_of(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+    """Return the settings of inference that settings of Algorithm 1 name."""
     inference = replace(named_settings(settings.inference), iterations=settings.iterations)
     if settings.step_size is not None:
         inference = replace(inference, step_size=settings.step_size)
@@ -69,7 +70,7 @@ def stein(
     good: Good | None = None,
 ) -> Tensor:
     """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing."""
-    inference = _inference(runs, settings)
+    inference = inference_of(runs, settings)
     whiten = inference.whiten
     ask = settings.early_stop and good is not None
 

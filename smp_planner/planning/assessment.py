@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -106,6 +106,7 @@ def make_plan(
     weights: FloatArray | None = None,
     components: IntArray | None = None,
     reason: str = "no particle is good",
+    bonus: Callable[[IntArray], FloatArray] | None = None,
 ) -> Plan:
     """Return the plan that trajectories amount to: checked and put in order.
 
@@ -117,6 +118,8 @@ def make_plan(
         weights: (P, K, D) of the primitive, if there is one.
         components: (P,), see `Plan`.
         reason: what the plan's message begins with if no particle is good.
+        bonus: from the homotopy classes of particles to what is added to their merit (P,), in units
+            of the log-prior.
     """
     verdict = assess(problem, trajectories, settings)
     message = ""
@@ -126,6 +129,7 @@ def make_plan(
             f"collision-free, {int(verdict.executable.sum())} executable, "
             f"{int(verdict.passing.sum())} meet all constraints; the least bad one is chosen"
         )
+    classes = signatures(problem, trajectories)
     ranks = rank(
         verdict.free,
         verdict.passing,
@@ -133,6 +137,7 @@ def make_plan(
         verdict.clearance,
         verdict.missed,
         costs,
+        0.0 if bonus is None else bonus(classes),
     )
     return Plan(
         trajectories=trajectories,
@@ -144,7 +149,7 @@ def make_plan(
         duration=verdict.duration,
         executable=verdict.executable,
         ranks=ranks,
-        signatures=signatures(problem, trajectories),
+        signatures=classes,
         weights=weights,
         components=components,
         message=message,

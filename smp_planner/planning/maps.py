@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from smp_gym.geometry.distance import PackedObstacles
@@ -35,11 +37,15 @@ class SceneMaps:
     Args:
         settings: kind of map, and how a network is trained.
         seed: of points and training.
+        made: maps that there are already, to which those made here are added.
     """
 
-    def __init__(self, settings: PlanSettings, seed: int) -> None:
+    def __init__(
+        self, settings: PlanSettings, seed: int, made: dict[Any, Any] | None = None
+    ) -> None:
         self._settings, self._seed = settings, seed
-        self._made: dict[tuple[tuple[Obstacle, ...], Workspace], DistanceGrid | None] = {}
+        self._made: dict[tuple[tuple[Obstacle, ...], Workspace], DistanceGrid | None]
+        self._made = {} if made is None else made
 
     @property
     def exact(self) -> bool:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ from smp_planner.planning.target import SceneTarget, TargetBatch
 
 __all__ = [
     "Part",
+    "PlanState",
     "Stopwatch",
     "condition",
     "conditioned_parts",
@@ -83,12 +85,29 @@ class Part:
         branch: numbers that tell it from others of its component; none if it is the only one.
         primitive: the component, conditioned.
         latent: (P_c, r) particles in its whitened coordinates.
+        memory: what the optimiser remembers of them; None if nothing.
+        iteration: how many iterations of inference they went through that are remembered.
     """
 
     component: int
     branch: tuple[int, ...]
     primitive: ProMP
     latent: Tensor
+    memory: Any = None
+    iteration: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class PlanState:
+    """What a planner goes on from when a plan is made anew, `Plan.state`.
+
+    Attributes:
+        prior: digest of the prior.
+        parts: the particles, in the order of the plan.
+    """
+
+    prior: str
+    parts: tuple[Part, ...]
 
 
 def condition(
@@ -304,7 +323,7 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
             [part.component for part in parts], [len(part.latent) for part in parts]
         )
     with attempt.stopwatch.stage("verification"):
-        return make_plan(
+        plan = make_plan(
             attempt.problem,
             primitive.trajectory(weights, settings.samples).numpy(),
             costs,
@@ -312,3 +331,4 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
             weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
             components=components,
         )
+    return replace(plan, state=PlanState(prior.digest, tuple(parts)))
