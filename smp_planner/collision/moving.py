@@ -276,7 +276,9 @@ def _checked_times(times: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
 
 
 @kernel(fastmath=FAST)
-def _clearance(trajectories, robot, bodies, positions, margins, enough, tolerance, clearance):
+def _clearance(
+    trajectories, counts, robot, bodies, positions, margins, enough, tolerance, clearance
+):
     """Write the least clearance (P,) of trajectories (P,n,T); see `clearance_in_time`.
 
     Between two samples configuration, positions and margins are linear. There the distance of a
@@ -306,7 +308,7 @@ def _clearance(trajectories, robot, bodies, positions, margins, enough, toleranc
         chain(sine, cosine, robot.base, robot.origins, rotation, position)
         place(rotation, position, robot.link, robot.center, placed)
         nearest = np.inf
-        for t in range(steps):
+        for t in range(counts[p]):
             for s in range(spheres):
                 if robot.link[s] == 0:
                     continue
@@ -397,6 +399,7 @@ def clearance_in_time(
     robot: RobotModel,
     forecast: Forecast,
     *,
+    until: float = math.inf,
     enough: float = 0.05,
     tolerance: float = 1e-3,
 ) -> FloatArray:
@@ -410,6 +413,7 @@ def clearance_in_time(
         times: (P,T) s since the observation, at which the samples are passed.
         robot: the arm and what it carries; spheres on link 0 are left out.
         forecast: of the bodies; linear between samples, too.
+        until: s; what is later is not looked at.
         enough: m, clearances above which need not be told apart.
         tolerance: m, positive.
 
@@ -425,6 +429,7 @@ def clearance_in_time(
     if len(packed):
         _clearance(
             np.ascontiguousarray(q.swapaxes(1, 2)),
+            np.minimum((at <= until).sum(axis=1) + 1, q.shape[1]),
             robot.arrays,
             (packed.shape, packed.rotation, packed.size, packed.bound),
             np.ascontiguousarray(forecast.positions(at)),

@@ -80,7 +80,7 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
         if forecast is not None:
             robot = robot_of(stage)
             times = clock.times(trajectories, robot.velocity)[:, steps]
-            apart = clearance_in_time(part, times, robot, forecast)
+            apart = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
             free, clearance = free & (apart >= CLEARANCE_TOLERANCE), np.minimum(clearance, apart)
         whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
     rest = slice(clock.first(samples) if clock.phase > 0.0 else 0, None)

@@ -44,7 +44,7 @@ class SceneMaps:
         self, settings: PlanSettings, seed: int, made: dict[Any, Any] | None = None
     ) -> None:
         self._settings, self._seed = settings, seed
-        self._made: dict[tuple[tuple[Obstacle, ...], Workspace], DistanceGrid | None]
+        self._made: dict[tuple[tuple[Obstacle, ...], Workspace, int], DistanceGrid | None]
         self._made = {} if made is None else made
 
     @property
@@ -62,7 +62,7 @@ class SceneMaps:
         Returns:
             The map; None if a network is to be trained and no obstacle reaches into the workspace.
         """
-        key = obstacles, workspace
+        key = obstacles, workspace, self._seed if self._settings.map == "points" else 0
         if key not in self._made:
             self._made[key] = self._make(obstacles, workspace)
         return self._made[key]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
@@ -74,6 +75,8 @@ class Problem:
         clock: when a robot executes the trajectory; what is before its phase is done, and neither
             costs anything nor is checked.
         turns: rad/s, at which the velocities of obstacles turn; those that are missing go straight.
+        foresight: s after the observation, until when trajectories are checked against obstacles
+            that move; later they are costs only, to be looked at again by then.
         done: (S, D) samples of what is done, at the steps of a plan; None if nothing is.
 
     Raises:
@@ -87,6 +90,7 @@ class Problem:
     movable: tuple[Obstacle, ...] = ()
     clock: Clock = Clock()  # noqa: RUF009
     turns: Mapping[Obstacle, tuple[float, ...]] = field(default_factory=dict)
+    foresight: float = math.inf
     done: FloatArray | None = None
 
     def __post_init__(self) -> None:
