@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_planner.adaptation import ADAPTATIONS, Adaptation
+from smp_planner.adaptation import ADAPTATIONS, Adaptation, SteinSettings
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.pipeline import one_thread, plan_problems
 from smp_planner.planning.plan import Plan
@@ -81,6 +81,11 @@ class PrimitivePlanner:
             **self.plan_settings.model_dump(mode="json"),
             **self.adaptation.settings.model_dump(mode="json"),
         }
+
+    @property
+    def can_replan(self) -> bool:
+        """Whether it can go on from particles: Stein Movement Primitives, or conditioning."""
+        return self.adaptation.adapt is None or isinstance(self.adaptation.settings, SteinSettings)
 
     def plan(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return one plan for each problem; the same problem gives the same plan.

@@ -38,6 +38,8 @@ class Verdict(NamedTuple):
     Attributes:
         free: (P,).
         clearance: (P,).
+        standing_free: (P,).
+        apart: (P,) m; None where nothing moves.
         executable: (P,).
         duration: (P,) s.
         missed: (P,) by name of the constraint.
@@ -46,6 +48,8 @@ class Verdict(NamedTuple):
 
     free: BoolArray
     clearance: FloatArray
+    standing_free: BoolArray
+    apart: FloatArray | None
     executable: BoolArray
     duration: FloatArray
     missed: dict[str, FloatArray]
@@ -69,6 +73,7 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
     free, clearance = np.ones(count, np.bool_), np.full(count, np.inf)
     body, whole = problem.body, False
     samples, clock = trajectories.shape[1], problem.clock
+    apart: FloatArray | None = None
     for stage in problem.stages:
         steps = problem.ahead(stage, samples)
         if steps.start == steps.stop:
@@ -80,21 +85,24 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
         if forecast is not None:
             robot = robot_of(stage)
             times = clock.times(trajectories, robot.velocity)[:, steps]
-            apart = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
-            free, clearance = free & (apart >= CLEARANCE_TOLERANCE), np.minimum(clearance, apart)
+            met = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
+            apart = met if apart is None else np.minimum(apart, met)
         whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
     rest = slice(clock.first(samples) if clock.phase > 0.0 else 0, None)
     if not whole:
         # With all that it carries in the end, the body must stay clear of itself, too.
         free = free & body.check(trajectories[:, rest], ()).free
     executable, duration = body.execution(trajectories[:, rest], settings.duration_limit)
+    standing_free = free
+    if apart is not None:
+        free, clearance = free & (apart >= CLEARANCE_TOLERANCE), np.minimum(clearance, apart)
     missed, passing = {}, np.ones(count, np.bool_)
     for constraint in problem.constraints:
         value = constraint.missed(trajectories)
         passing &= value <= constraint.slack(settings)
         if constraint.cost(settings) is not None:
             missed[constraint.name] = np.maximum(value, 0.0)
-    return Verdict(free, clearance, executable, duration, missed, passing)
+    return Verdict(free, clearance, standing_free, apart, executable, duration, missed, passing)
 
 
 def make_plan(
@@ -153,6 +161,8 @@ def make_plan(
         weights=weights,
         components=components,
         message=message,
+        standing_free=verdict.standing_free,
+        apart=verdict.apart,
     )
 
 

@@ -323,9 +323,12 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
             [part.component for part in parts], [len(part.latent) for part in parts]
         )
     with attempt.stopwatch.stage("verification"):
+        trajectories = primitive.trajectory(weights, settings.samples).numpy()
+        if attempt.problem.done is not None:
+            trajectories[:, : len(attempt.problem.done)] = attempt.problem.done
         plan = make_plan(
             attempt.problem,
-            primitive.trajectory(weights, settings.samples).numpy(),
+            trajectories,
             costs,
             settings,
             weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),

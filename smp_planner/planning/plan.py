@@ -49,6 +49,8 @@ class Plan:
         message: empty, or why no particle is good.
         display: what `plot` draws beside the trajectories, by name.
         tool_paths: (P, T, 3) m, the paths of a robot's tool, where they were asked for.
+        standing_free: (P,) as `collision_free`, but for obstacles that move.
+        apart: (P,) m, as `clearance`, of obstacles that move alone; None where none does.
         state: from which the planner can go on (`smp_planner.planning.replanning`); None if it
             cannot.
     """
@@ -69,6 +71,8 @@ class Plan:
     message: str = ""
     display: Mapping[str, Any] = field(default_factory=dict)
     tool_paths: FloatArray | None = None
+    standing_free: BoolArray | None = None
+    apart: FloatArray | None = None
     state: Any = None
 
     def __repr__(self) -> str:

@@ -32,6 +32,7 @@ class Clock:
         phase: in [0, 1), from which on the trajectory is executed.
         delay: s, from the observation until then.
         rate: 1/s, of the phase then; None, if it begins at the final rate, as from rest to rest.
+        most: 1/s, which the rate does not exceed, whatever the joints would allow.
 
     Raises:
         ValueError: a number is out of range.
@@ -40,6 +41,7 @@ class Clock:
     phase: float = 0.0
     delay: float = 0.0
     rate: float | None = None
+    most: float = math.inf
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.phase < 1.0:
@@ -48,6 +50,8 @@ class Clock:
             raise ValueError(f"delay must be finite and not negative, got {self.delay}")
         if self.rate is not None and not math.isfinite(self.rate):
             raise ValueError(f"rate must be finite, got {self.rate}")
+        if not self.most > 0.0:
+            raise ValueError(f"most must be positive, got {self.most}")
 
     def first(self, samples: int) -> int:
         """Return the last of equal steps of phase that is not after the beginning."""
@@ -63,7 +67,7 @@ class Clock:
         rest = trajectories[:, self.first(trajectories.shape[1]) :]
         share = np.abs(np.diff(rest, axis=1)) / (VELOCITY_FRACTION * velocity)
         fastest = share.max(axis=(1, 2)) * (trajectories.shape[1] - 1)
-        return np.asarray(1.0 / np.maximum(fastest, _LEAST_PART))
+        return np.asarray(np.minimum(1.0 / np.maximum(fastest, _LEAST_PART), self.most))
 
     def times(self, trajectories: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return when each sample is passed, (P, T) s since the observation.

@@ -67,10 +67,10 @@ def _replanning(planner: Planner, every: int | None, latency: int) -> Replanning
     checked = Replanning(1 if every is None else every, latency)
     if every is None:
         return None
-    if not isinstance(planner, Replanner):
+    if not (isinstance(planner, Replanner) and planner.can_replan):
         raise ValueError(
-            "replan_every needs a planner that has replan(plan, problem), got "
-            f"{type(planner).__name__}"
+            "replan_every needs a planner that can go on from a plan, of the methods here smp and "
+            f"promp; got {type(planner).__name__}"
         )
     return checked
 
@@ -106,7 +106,7 @@ class PlannerPolicy:
         replan_every: int | None = None,
         latency: int = LATENCY,
     ) -> None:
-        self._replanning = _replanning(planner, replan_every, latency)
+        self.replanning = _replanning(planner, replan_every, latency)
         self.planner = planner
         self.demonstrations = demonstrations
         self.task = demonstrations.task
@@ -229,11 +229,9 @@ class PlannerPolicy:
         if execution.pursuit is None:
             action = execution.track.action(row.elapsed_steps, row.robot.reference)
             return execution, action
-        assert self._replanning is not None
+        assert self.replanning is not None
         assert isinstance(self.planner, Replanner)
-        pursuit, action = pursue(
-            execution.pursuit, row, self.planner, self._event, self._replanning
-        )
+        pursuit, action = pursue(execution.pursuit, row, self.planner, self._event, self.replanning)
         return replace(execution, pursuit=pursuit), action
 
     def problem(self, observation: Mapping[str, NDArray[Any]] | NDArray[Any]) -> Problem:
@@ -258,7 +256,7 @@ class PlannerPolicy:
 
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
         problem = problem_from(decoded, digest, self._phases, grasping=self._grasping)
-        return problem if self._replanning is None else foreseen(problem, self._replanning)
+        return problem if self.replanning is None else foreseen(problem, self.replanning)
 
     def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
         """Return the timed trajectory of one particle of a plan, as the policy would execute it.
@@ -313,8 +311,8 @@ class PlannerPolicy:
             particle = int(np.random.default_rng([problem.seed, 1]).choice(candidates))
         track = self.track(plan, particle, decoded.elapsed_steps)
         pursuit = None
-        if self._replanning is not None:
-            pursuit = begin(plan, problem, particle, decoded.elapsed_steps, self._replanning)
+        if self.replanning is not None:
+            pursuit = begin(plan, problem, particle, decoded.elapsed_steps, self.replanning)
         return Execution(plan, particle, track, problem.seed, pursuit)
 
     def save(self, path: str | Path) -> None:

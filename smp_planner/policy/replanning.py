@@ -23,6 +23,7 @@ from smp_gym.arrays import FloatArray
 from smp_gym.control import reference_action
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation
 from smp_gym.scene import Obstacle
+from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.moving import clearance_in_time, is_moving
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.forecasting import forecast_of
@@ -54,15 +55,30 @@ SURPRISE = 0.015
 LAG = 0.15
 """rad, by which a joint may lag behind its reference before the arm slows down."""
 
-_TURN_WINDOW = (3, 10)
+_TURN_WINDOW = (2, 5)
 """Fewest and most control steps between two observations whose velocities say how these turn."""
 
 _STANDING_RATE = 1e-6
+
+MOST_HASTE = 1.25
+"""Highest rate of the phase, in that of the first plan: what is left of a trajectory slows down
+towards its end, and could be run through in no time."""
+
+PATIENCE = 4
+"""Plans without a good particle, one after the other, after which a whole plan is made."""
+
+_GAIN = 0.005
+"""m, by which a trajectory that is not good must keep farther away to be taken all the same."""
 
 
 @runtime_checkable
 class Replanner(Protocol):
     """Protocol of planners that go on from a plan."""
+
+    @property
+    def can_replan(self) -> bool:
+        """Whether its method can."""
+        ...
 
     @property
     def plan_settings(self) -> PlanSettings:
@@ -128,8 +144,11 @@ class Pursuit:
         problem: that it solves.
         particle: which of its particles is executed.
         trajectory: (T, 6) rad, what is done and what is ahead.
-        final: 1/s, highest rate of the phase on it.
-        observed: step of the observation that `problem` is of.
+        limits: (T,) 1/s, highest rates of the phase at which what is ahead of each sample can be
+            executed.
+        most: 1/s, highest rate of the phase whatever the limits of the joints are.
+        expected: the problem that a plan was last asked for, with what it expects of obstacles.
+        observed: step of the observation that this one is of.
         begins: step at which the first plan takes effect.
         phase: that has been reached.
         rate: 1/s, of the phase.
@@ -141,6 +160,7 @@ class Pursuit:
         arrived: step at which the end was reached.
         replans: how many plans were made anew.
         failed: how many of these held no good particle.
+        stuck: how many of the last did not, one after the other.
         seconds: time of all these, s.
     """
 
@@ -148,7 +168,9 @@ class Pursuit:
     problem: Problem
     particle: int
     trajectory: FloatArray
-    final: float
+    limits: FloatArray
+    most: float
+    expected: Problem
     observed: int
     begins: int
     phase: float = 0.0
@@ -161,6 +183,7 @@ class Pursuit:
     arrived: int | None = None
     replans: int = 0
     failed: int = 0
+    stuck: int = 0
     seconds: float = 0.0
 
     @property
@@ -196,20 +219,31 @@ def begin(
         problem=problem,
         particle=particle,
         trajectory=trajectory,
-        final=_final(problem, trajectory),
+        limits=_limits(problem, trajectory),
+        most=MOST_HASTE / float(plan.duration[particle]),
+        expected=problem,
         observed=step,
         begins=step + replanning.latency,
         asked=step,
     )
 
 
-def _final(problem: Problem, trajectory: FloatArray) -> float:
-    return float(problem.clock.rates(trajectory[None], problem.robot.velocity)[0])
+def _limits(problem: Problem, trajectory: FloatArray) -> FloatArray:
+    """Return the highest rates (T,) 1/s at which what is ahead of each sample can be executed."""
+    share = np.abs(np.diff(trajectory, axis=0)) / (VELOCITY_FRACTION * problem.robot.velocity)
+    ahead = np.maximum.accumulate(share.max(axis=1)[::-1])[::-1] * (len(trajectory) - 1)
+    return 1.0 / np.maximum(np.append(ahead, ahead[-1]), 1e-3)
 
 
-def _turned(rate: float, target: float, final: float) -> float:
+def _highest(pursuit: Pursuit, phase: float) -> float:
+    """Return the highest rate of the phase from a phase on."""
+    sample = int(phase * (len(pursuit.limits) - 1) + 1e-9)
+    return min(float(pursuit.limits[sample]), pursuit.most)
+
+
+def _turned(rate: float, target: float, highest: float) -> float:
     """Return the rate of the phase one control step later, on its way to a target."""
-    change = max(final, abs(rate)) * CONTROL_PERIOD / RAMP
+    change = max(highest, abs(rate)) * CONTROL_PERIOD / RAMP
     return rate + min(max(target - rate, -change), change)
 
 
@@ -217,7 +251,9 @@ def _course(pursuit: Pursuit, factor: float, steps: int) -> tuple[FloatArray, fl
     """Return phases (steps,) at the next control steps for a speed, and the last rate."""
     phases, phase, rate = np.empty(steps), pursuit.phase, pursuit.rate
     for k in range(steps):
-        rate = _turned(rate, factor * pursuit.final, pursuit.final)
+        # What has been done is retreated along no faster than all of it can be.
+        highest = _highest(pursuit, phase if min(factor, rate) >= 0.0 else 0.0)
+        rate = _turned(rate, factor * highest, highest)
         phase = min(max(phase + rate * CONTROL_PERIOD, 0.0), 1.0)
         phases[k] = phase
     return phases, rate
@@ -253,31 +289,35 @@ def _surprising(
     """Return whether an obstacle is not where the present plan expected it."""
     if not now:
         return False
-    forecast = forecast_of(pursuit.problem.movable, pursuit.problem.turns, settings)
+    forecast = forecast_of(pursuit.expected.movable, pursuit.expected.turns, settings)
     expected = forecast.positions((step - pursuit.observed) * CONTROL_PERIOD)
     actual = np.array([obstacle.position for obstacle in now])
     return bool((np.linalg.norm(actual - expected, axis=1) > SURPRISE).any())
 
 
-def _choose_factor(
+def _near(pursuit: Pursuit, now: Sequence[Obstacle]) -> list[Obstacle]:
+    """Return obstacles that move, or stand elsewhere than where the present plan was made for."""
+    return [
+        o
+        for o, planned in zip(now, pursuit.problem.movable, strict=True)
+        if is_moving(o) or float(np.abs(np.subtract(o.position, planned.position)).max()) > 1e-3
+    ]
+
+
+def _outlook(
     pursuit: Pursuit,
     now: Sequence[Obstacle],
     turns: Mapping[Obstacle, tuple[float, ...]],
     settings: PlanSettings,
     factors: Sequence[float],
-) -> float:
-    """Return the speed, as a share of the highest: the first that is safe, or the safest.
+) -> tuple[float, float]:
+    """Return the speed to choose, as a share of the highest, and its clearance, m.
 
-    Looked at are obstacles that move, or stand elsewhere than where the present plan was made for.
+    It is the first that is safe, or the one that keeps farthest away.
     """
-    planned = pursuit.problem.movable
-    apart = [
-        is_moving(o) or float(np.abs(np.subtract(o.position, p.position)).max()) > 1e-3
-        for o, p in zip(now, planned, strict=True)
-    ]
-    near = [obstacle for obstacle, different in zip(now, apart, strict=True) if different]
+    near = _near(pursuit, now)
     if not near:
-        return factors[0]
+        return factors[0], np.inf
     courses = np.stack([_course(pursuit, factor, LOOKAHEAD)[0] for factor in factors])
     courses = np.concatenate([np.full((len(factors), 1), pursuit.phase), courses], axis=1)
     paths = np.stack([at_phases(pursuit.trajectory[None], course)[0] for course in courses])
@@ -286,7 +326,8 @@ def _choose_factor(
         paths, times, pursuit.problem.robot, forecast_of(near, turns, settings)
     )
     safe = np.flatnonzero(clearance >= SAFE_DISTANCE)
-    return factors[int(safe[0]) if len(safe) else int(clearance.argmax())]
+    chosen = int(safe[0]) if len(safe) else int(clearance.argmax())
+    return factors[chosen], float(clearance[chosen])
 
 
 def _ask(
@@ -316,41 +357,69 @@ def _ask(
     problem = resumed(
         pursuit.problem,
         pursuit.trajectory,
-        Clock(phase, delay, begins),
+        Clock(phase, delay, begins, pursuit.most),
         decoded.scene.obstacles,
         turns,
         cloud,
     )
     problem = replace(problem, foresight=delay + LOOKAHEAD * CONTROL_PERIOD)
-    plan = planner.replan(pursuit.plan, problem, pursuit.particle)
+    if pursuit.stuck < PATIENCE:
+        plan = planner.replan(pursuit.plan, problem, pursuit.particle)
+    else:
+        (plan,) = planner.plan([replace(problem, seed=problem.seed + 1 + pursuit.replans)])
+    failed = not plan.good.any()
     return replace(
         pursuit,
         asked=step,
+        expected=problem,
+        observed=step,
         pending=_Pending(step + latency, plan, problem, standing),
         replans=pursuit.replans + 1,
-        failed=pursuit.failed + (not plan.good.any()),
+        failed=pursuit.failed + failed,
+        stuck=(pursuit.stuck + 1) % (PATIENCE + 1) if failed else 0,
         seconds=pursuit.seconds + plan.planning_time,
     )
 
 
-def _take_effect(pursuit: Pursuit, replanning: Replanning) -> Pursuit:
-    """Return the state after the plan that was asked for has taken effect."""
+def _take_effect(
+    pursuit: Pursuit,
+    now: Sequence[Obstacle],
+    turns: Mapping[Obstacle, tuple[float, ...]],
+    settings: PlanSettings,
+) -> Pursuit:
+    """Return the state after the plan that was asked for has taken effect.
+
+    Without a good particle the arm stays on its trajectory, at a speed that is safe; if none is, it
+    takes the particle that is expected to keep farthest from what moves, if that is farther.
+    """
     pending = pursuit.pending
     assert pending is not None
-    plan, problem = pending.plan, pending.problem
-    observed = pending.due - replanning.latency
-    changed = replace(pursuit, plan=plan, pending=None)
-    if not plan.good[plan.chosen]:
-        # Nothing better is known: the arm stays on its trajectory, at a speed that is safe.
-        return changed
-    trajectory = np.array(plan.best)
+    pursuit = replace(pursuit, pending=None)
+    plan = pending.plan
+    if plan.good.any():
+        return _on(pursuit, pending, plan.chosen)
+    able = plan.executable & (True if plan.standing_free is None else plan.standing_free)
+    kept = pursuit
+    if (able & plan.passing).mean() >= 0.5:
+        kept = replace(pursuit, plan=plan)
+    if plan.apart is None or not able.any():
+        return kept
+    evading = _on(pursuit, pending, int(np.where(able, plan.apart, -np.inf).argmax()))
+    clearance = _outlook(pursuit, now, turns, settings, FACTORS)[1]
+    gained = _outlook(evading, now, turns, settings, FACTORS)[1] - clearance
+    return evading if clearance < SAFE_DISTANCE and gained > _GAIN else kept
+
+
+def _on(pursuit: Pursuit, pending: _Pending, particle: int) -> Pursuit:
+    """Return the state on the trajectory of a particle of a plan that was asked for."""
+    trajectory = np.array(pending.plan.trajectories[particle])
     return replace(
-        changed,
-        problem=problem,
-        particle=plan.chosen,
+        pursuit,
+        plan=pending.plan,
+        problem=pending.problem,
+        particle=particle,
         trajectory=trajectory,
-        final=_final(problem, trajectory),
-        observed=observed,
+        limits=_limits(pending.problem, trajectory),
     )
 
 
@@ -376,7 +445,7 @@ def pursue(
     pursuit = replace(pursuit, seen=seen)
     turns = _turns(seen)
     if pursuit.pending is not None and step >= pursuit.pending.due:
-        pursuit = _take_effect(pursuit, replanning)
+        pursuit = _take_effect(pursuit, now, turns, settings)
     opened = _opened(pursuit, step, event)
     lagging = float(np.abs(decoded.robot.configuration - decoded.robot.reference).max()) > LAG
     idle = opened or pursuit.closing > 0 or pursuit.phase >= 1.0
@@ -406,7 +475,7 @@ def _advanced(
     pending = pursuit.pending
     waiting = pending is not None and pending.standing
     factors = (0.0, -1.0) if waiting else FACTORS[1:] if lagging else FACTORS
-    factor = _choose_factor(pursuit, now, turns, settings, factors)
+    factor, _ = _outlook(pursuit, now, turns, settings, factors)
     if waiting and factor < 0.0:
         # What begins at rest here cannot be entered in motion.
         pursuit = replace(pursuit, pending=None)
