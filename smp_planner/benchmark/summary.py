@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 CSV_COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
-"""Columns of ``episodes.csv``; the last two are times and differ from run to run."""
+"""Columns of ``episodes.csv``; the last three are times and differ from run to run."""
 
 CONFIDENCE = 0.95
 """Level of all intervals."""

@@ -127,12 +127,14 @@ class _Pending:
         plan: the plan.
         problem: that it solves.
         standing: whether it begins with the arm at rest, which must wait for it.
+        backwards: whether the arm retreats, and must not go on before.
     """
 
     due: int
     plan: Plan
     problem: Problem
     standing: bool
+    backwards: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +222,7 @@ def begin(
         particle=particle,
         trajectory=trajectory,
         limits=_limits(problem, trajectory),
-        most=MOST_HASTE / float(plan.duration[particle]),
+        most=MOST_HASTE / min(float(plan.duration[particle]), float(np.median(plan.duration))),
         expected=problem,
         observed=step,
         begins=step + replanning.latency,
@@ -342,10 +344,11 @@ def _ask(
     waiting = step < pursuit.begins
     resting = abs(pursuit.rate) <= _STANDING_RATE
     standing = resting and (pursuit.factor <= 0.0 or waiting)
+    backwards = pursuit.factor < 0.0 and not waiting
     phase, rate = pursuit.phase, 0.0
     if not standing:
         # At most so far does the arm get until then.
-        phases, rate = _course(pursuit, max(pursuit.factor, 1.0), latency)
+        phases, rate = _course(pursuit, 0.0 if backwards else 1.0, latency)
         phase = float(phases[-1])
     if phase >= 1.0:
         return replace(pursuit, asked=step)
@@ -373,7 +376,7 @@ def _ask(
         asked=step,
         expected=problem,
         observed=step,
-        pending=_Pending(step + latency, plan, problem, standing),
+        pending=_Pending(step + latency, plan, problem, standing, backwards),
         replans=pursuit.replans + 1,
         failed=pursuit.failed + failed,
         stuck=(pursuit.stuck + 1) % (PATIENCE + 1) if failed else 0,
@@ -474,7 +477,8 @@ def _advanced(
     """Return the state one control step farther along the trajectory."""
     pending = pursuit.pending
     waiting = pending is not None and pending.standing
-    factors = (0.0, -1.0) if waiting else FACTORS[1:] if lagging else FACTORS
+    held = pending is not None and (waiting or pending.backwards)
+    factors = (0.0, -1.0) if held else FACTORS[1:] if lagging else FACTORS
     factor, _ = _outlook(pursuit, now, turns, settings, factors)
     if waiting and factor < 0.0:
         # What begins at rest here cannot be entered in motion.

@@ -22,7 +22,7 @@ from smp_planner.benchmark.episodes import EpisodeKey, PlayedEpisode, environmen
 from smp_planner.benchmark.manifest import read_results
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-TIMES = ("planning_time", "episode_time")
+TIMES = ("replanning_time", "planning_time", "episode_time")
 
 
 @pytest.fixture(scope="module")
