@@ -102,6 +102,23 @@ def found_obstacles(problem, movable):
     return (*movable, *standing)
 
 
+def test_what_comes_too_fast_leaves_the_least_bad_particle_with_the_reason(policy, plan, problem):
+    robot = problem.robot
+    hand = robot.carried_points(at_phases(plan.best[None], PHASE)[0], np.zeros(3))[0][0]
+    coming = [
+        o.model_copy(
+            update={"position": tuple(map(float, hand - [0.2, 0, 0])), "velocity": (2.0, 0, 0)}
+        )
+        for o in problem.movable
+    ]
+    clock = Clock(PHASE, 0.1, 1.0 / float(plan.duration[plan.chosen]))
+    found = policy.planner.replan(plan, resumed(problem, plan.best, clock, coming))
+    assert not found.good.any()
+    assert "no particle is good: of 14 particles 0 are collision-free" in found.message
+    assert found.standing_free.any()
+    assert (found.apart < 0.0).all()
+
+
 def test_from_rest_any_direction_is_free(plan, problem):
     still = resumed(problem, plan.best, Clock(PHASE, 0.1, 0.0), problem.movable)
     moving = resumed(problem, plan.best, Clock(PHASE, 0.1, 0.2), problem.movable)
