@@ -114,7 +114,7 @@ def make_plan(
     weights: FloatArray | None = None,
     components: IntArray | None = None,
     reason: str = "no particle is good",
-    bonus: Callable[[IntArray], FloatArray] | None = None,
+    bonus: Callable[[IntArray, FloatArray], FloatArray] | None = None,
 ) -> Plan:
     """Return the plan that trajectories amount to: checked and put in order.
 
@@ -126,8 +126,8 @@ def make_plan(
         weights: (P, K, D) of the primitive, if there is one.
         components: (P,), see `Plan`.
         reason: what the plan's message begins with if no particle is good.
-        bonus: from the homotopy classes of particles to what is added to their merit (P,), in units
-            of the log-prior.
+        bonus: from homotopy classes and durations of particles to what is added to their merit
+            (P,), in units of the log-prior.
     """
     verdict = assess(problem, trajectories, settings)
     message = ""
@@ -145,7 +145,7 @@ def make_plan(
         verdict.clearance,
         verdict.missed,
         costs,
-        0.0 if bonus is None else bonus(classes),
+        0.0 if bonus is None else bonus(classes, verdict.duration),
     )
     return Plan(
         trajectories=trajectories,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,6 +52,9 @@ than one of the present class to be chosen in its place."""
 
 SAME_BONUS = 3.0
 """By how much one of the present class must be better than the present trajectory itself."""
+
+SECOND = 2.0
+"""What a second of the rest's duration is worth in units of the log-prior."""
 
 _LEAST_RATE = 1e-3
 """1/s, rate of the phase below which the arm counts as standing."""
@@ -251,7 +255,7 @@ def replan(
                 settings,
                 weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
                 components=plan.components,
-                bonus=lambda classes: _bonus(classes, present),
+                bonus=partial(_bonus, present),
             )
     return replace(made, timings=watch.timings, state=PlanState(state.prior, tuple(parts)))
 
@@ -283,9 +287,9 @@ def _continued(
     )
 
 
-def _bonus(classes: IntArray, present: int) -> FloatArray:
-    """Return what is added to the merit (P,) of particles, see `MODE_BONUS` and `SAME_BONUS`."""
+def _bonus(present: int, classes: IntArray, duration: FloatArray) -> FloatArray:
+    """Return what is added to the merit (P,) of particles, see `MODE_BONUS` and the next two."""
     same = (classes == classes[present]).all(axis=1)
-    bonus = MODE_BONUS * same.astype(np.float64)
+    bonus = MODE_BONUS * same.astype(np.float64) - SECOND * duration
     bonus[present] += SAME_BONUS
     return bonus

@@ -155,6 +155,7 @@ class Pursuit:
         phase: that has been reached.
         rate: 1/s, of the phase.
         factor: share of the highest speed that was chosen last.
+        clearance: m, of the course that was chosen last, margins taken off.
         asked: step at which a plan was last asked for.
         pending: what was asked for and has not taken effect.
         seen: obstacles of the last observations, with their steps.
@@ -178,6 +179,7 @@ class Pursuit:
     phase: float = 0.0
     rate: float = 0.0
     factor: float = 1.0
+    clearance: float = np.inf
     asked: int = 0
     pending: _Pending | None = None
     seen: tuple[tuple[int, tuple[Obstacle, ...]], ...] = ()
@@ -454,7 +456,8 @@ def pursue(
     idle = opened or pursuit.closing > 0 or pursuit.phase >= 1.0
     if pursuit.pending is None and not idle:
         due = step - pursuit.asked >= replanning.every
-        if due or lagging or _surprising(pursuit, now, step, settings):
+        threatened = pursuit.clearance < SAFE_DISTANCE
+        if due or lagging or threatened or _surprising(pursuit, now, step, settings):
             pursuit = _ask(pursuit, planner, decoded, turns, replanning)
     if opened or step < pursuit.begins or pursuit.closing > 0:
         pursuit = replace(pursuit, closing=max(pursuit.closing - 1, 0))
@@ -479,7 +482,7 @@ def _advanced(
     waiting = pending is not None and pending.standing
     held = pending is not None and (waiting or pending.backwards)
     factors = (0.0, -1.0) if held else FACTORS[1:] if lagging else FACTORS
-    factor, _ = _outlook(pursuit, now, turns, settings, factors)
+    factor, clearance = _outlook(pursuit, now, turns, settings, factors)
     if waiting and factor < 0.0:
         # What begins at rest here cannot be entered in motion.
         pursuit = replace(pursuit, pending=None)
@@ -492,7 +495,15 @@ def _advanced(
     arrived = None
     if phase >= 1.0:
         arrived = step if pursuit.arrived is None else pursuit.arrived
-    return replace(pursuit, phase=phase, rate=rate, factor=factor, closing=closing, arrived=arrived)
+    return replace(
+        pursuit,
+        phase=phase,
+        rate=rate,
+        factor=factor,
+        clearance=clearance,
+        closing=closing,
+        arrived=arrived,
+    )
 
 
 def _opened(pursuit: Pursuit, step: int, event: GripperEvent | None) -> bool:
