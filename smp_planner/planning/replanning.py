@@ -38,7 +38,7 @@ from smp_planner.planning.timing import Clock
 if TYPE_CHECKING:
     from typing import Any
 
-__all__ = ["ITERATIONS", "replan", "resumed"]
+__all__ = ["ITERATIONS", "LEAST_RATE", "direction", "replan", "resumed"]
 
 ITERATIONS = 12
 """Iterations of inference when a plan is made anew."""
@@ -56,7 +56,7 @@ SAME_BONUS = 3.0
 SECOND = 2.0
 """What a second of the rest's duration is worth in units of the log-prior."""
 
-_LEAST_RATE = 1e-3
+LEAST_RATE = 1e-3
 """1/s, rate of the phase below which the arm counts as standing."""
 
 
@@ -125,7 +125,7 @@ def resumed(
         constraints.append(
             Exactly("rest at the start", phase, np.zeros_like(here), derivative=True)
         )
-    elif abs(clock.rate) > _LEAST_RATE:
+    elif abs(clock.rate) > LEAST_RATE:
         slope = direction(trajectory, phase)
         constraints.append(Exactly("direction at the start", phase, slope, derivative=True))
     for constraint in problem.constraints:
@@ -231,9 +231,15 @@ def replan(
                     for part in state.parts
                 ]
             except UnreachableError as error:
-                # A goal that was reached before is out of reach on this course: it is kept.
-                message = f"not planned anew: {error}"
-                return replace(plan, message=message, timings=watch.timings)
+                # A goal that was reached before is out of reach on this course.
+                none = np.zeros(len(plan.trajectories), np.bool_)
+                return replace(
+                    plan,
+                    collision_free=none,
+                    standing_free=none,
+                    message=f"not planned anew: {error}",
+                    timings=watch.timings,
+                )
         costs: dict[str, FloatArray] = {}
         target = None
         if isinstance(own, SteinSettings):

@@ -329,13 +329,22 @@ class PlannerPolicy:
         write_policy(Path(path), SavedPolicy(*self._made_by, self.seed, self.demonstrations))
 
     @classmethod
-    def load(cls, path: str | Path, factory: Callable[..., Planner] | None = None) -> PlannerPolicy:
+    def load(
+        cls,
+        path: str | Path,
+        factory: Callable[..., Planner] | None = None,
+        *,
+        replan_every: int | None = None,
+        latency: int = LATENCY,
+    ) -> PlannerPolicy:
         """Read what `save` wrote; runs no code from the file, nor any that the file names.
 
         Args:
             path: of the file.
             factory: what makes the planner, where the method was given as ``name=module:Class``:
                 that class.
+            replan_every: see the class, as the next; a file does not say it.
+            latency: when plans take effect.
 
         Raises:
             ValueError: the file is damaged, not a policy, or of another version, its method is
@@ -351,4 +360,5 @@ class PlannerPolicy:
             )
         else:
             method = resolve(saved.method)
-        return cls._of(method, saved.demonstrations, saved.settings, saved.seed, {})
+        options = {"replan_every": replan_every, "latency": latency}
+        return cls._of(method, saved.demonstrations, saved.settings, saved.seed, options)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from smp_gym.arrays import FloatArray
 from smp_gym.control import reference_action
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation
+from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.moving import clearance_in_time, is_moving
@@ -29,7 +30,7 @@ from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.forecasting import forecast_of
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
-from smp_planner.planning.replanning import resumed
+from smp_planner.planning.replanning import LEAST_RATE, resumed
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.timing import RAMP, Clock
 from smp_planner.policy.observed_problem import seen_map
@@ -59,6 +60,9 @@ _TURN_WINDOW = (2, 5)
 """Fewest and most control steps between two observations whose velocities say how these turn."""
 
 _STANDING_RATE = 1e-6
+_ROUNDING = 1e-9
+_NEAR_CORNER = 1e-3
+"""Of the phase, within which a corner counts as reached."""
 
 MOST_HASTE = 1.25
 """Highest rate of the phase, in that of the first plan: what is left of a trajectory slows down
@@ -159,6 +163,8 @@ class Pursuit:
         asked: step at which a plan was last asked for.
         pending: what was asked for and has not taken effect.
         seen: obstacles of the last observations, with their steps.
+        corners: phases at which the trajectory may change its direction, for it was planned from
+            rest there; they are passed at rest only, ascending.
         closing: control steps for which the arm still stands while the hand closes.
         arrived: step at which the end was reached.
         replans: how many plans were made anew.
@@ -183,6 +189,7 @@ class Pursuit:
     asked: int = 0
     pending: _Pending | None = None
     seen: tuple[tuple[int, tuple[Obstacle, ...]], ...] = ()
+    corners: tuple[float, ...] = ()
     closing: int = 0
     arrived: int | None = None
     replans: int = 0
@@ -255,10 +262,18 @@ def _course(pursuit: Pursuit, factor: float, steps: int) -> tuple[FloatArray, fl
     """Return phases (steps,) at the next control steps for a speed, and the last rate."""
     phases, phase, rate = np.empty(steps), pursuit.phase, pursuit.rate
     for k in range(steps):
+        below = max((c for c in pursuit.corners if c < phase - _ROUNDING), default=0.0)
+        above = min((c for c in pursuit.corners if c > phase + _ROUNDING), default=np.inf)
         # What has been done is retreated along no faster than all of it can be.
         highest = _highest(pursuit, phase if min(factor, rate) >= 0.0 else 0.0)
         rate = _turned(rate, factor * highest, highest)
+        # What has to be passed at rest is approached ever more slowly.
+        rate = min(max(rate, (below - phase) / RAMP), (above - phase) / RAMP)
         phase = min(max(phase + rate * CONTROL_PERIOD, 0.0), 1.0)
+        for corner in (below, above):
+            towards = rate < 0.0 if corner == below else rate > 0.0
+            if towards and abs(corner - phase) < _NEAR_CORNER:
+                phase, rate = corner, 0.0
         phases[k] = phase
     return phases, rate
 
@@ -352,6 +367,8 @@ def _ask(
         # At most so far does the arm get until then.
         phases, rate = _course(pursuit, 0.0 if backwards else 1.0, latency)
         phase = float(phases[-1])
+        # It may be passed in motion: what begins there has the present direction.
+        rate = min(rate, -2.0 * LEAST_RATE) if backwards else max(rate, 2.0 * LEAST_RATE)
     if phase >= 1.0:
         return replace(pursuit, asked=step)
     delay = latency * CONTROL_PERIOD
@@ -371,7 +388,10 @@ def _ask(
     if pursuit.stuck < PATIENCE:
         plan = planner.replan(pursuit.plan, problem, pursuit.particle)
     else:
-        (plan,) = planner.plan([replace(problem, seed=problem.seed + 1 + pursuit.replans)])
+        try:
+            (plan,) = planner.plan([replace(problem, seed=problem.seed + 1 + pursuit.replans)])
+        except UnreachableError:
+            return replace(pursuit, asked=step, expected=problem, observed=step, stuck=0)
     failed = not plan.good.any()
     return replace(
         pursuit,
@@ -425,6 +445,10 @@ def _on(pursuit: Pursuit, pending: _Pending, particle: int) -> Pursuit:
         particle=particle,
         trajectory=trajectory,
         limits=_limits(pending.problem, trajectory),
+        corners=(
+            *(corner for corner in pursuit.corners if corner < pending.problem.clock.phase),
+            *((pending.problem.clock.phase,) if pending.standing else ()),
+        ),
     )
 
 
