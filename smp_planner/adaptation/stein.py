@@ -15,7 +15,7 @@ from torch import Tensor
 from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
 
-__all__ = ["SteinSettings", "inference_of", "iterate", "stein"]
+__all__ = ["SteinSettings", "inference_for", "inference_of", "iterate", "stein"]
 
 _TIMED = 2
 """Iterations after which it is asked how many more there is time for."""
@@ -61,7 +61,8 @@ def inference_of(settings: SteinSettings) -> SVGDSettings:
     return inference
 
 
-def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+def inference_for(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+    """Return the settings of SVGD, with the metric of paths where the kernel has one."""
     inference = inference_of(settings)
     if inference.needs_metric:
         root = runs.primitives[0].path_root(runs.steps)
@@ -110,7 +111,7 @@ def stein(
     mean time of those so far leaves room for, and the schedules to that number, so that particles
     settle before the end.
     """
-    inference = _inference(runs, settings)
+    inference = inference_for(runs, settings)
     ask = settings.early_stop and good is not None
 
     def whitened(particles: Tensor) -> Tensor:

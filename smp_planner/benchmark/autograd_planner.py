@@ -168,4 +168,4 @@ class AutogradPlanner:
         with stopwatch.stage("verification"):
             paths = planner.prior.single.trajectory(torch.cat(weights), settings.samples).numpy()
             plan = make_plan(problem, paths, {"prior": torch.cat(found).numpy()}, settings)
-        return plan.timed(stopwatch.timings)
+        return plan.changed(timings=stopwatch.timings)

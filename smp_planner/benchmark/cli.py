@@ -165,6 +165,22 @@ def run(
         Path | None,
         typer.Option(help="Folder of frozen lists. Default: that of the package."),
     ] = None,
+    replan_every: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Make plans anew after so many control steps at the latest, of methods that can: "
+            "smp, promp. Default: plan once.",
+        ),
+    ] = None,
+    latency: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Control steps from asking for a plan to its taking effect, whatever the machine; "
+            "with --replan-every. Default: 2.",
+        ),
+    ] = None,
     jobs: Annotated[
         int | None,
         typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
@@ -217,6 +233,7 @@ def run(
         frozen=frozen or (bool(suite) and seed is None),
         suite=suite,
         lists=lists,
+        **_replanning(replan_every, latency),
     )
     workers = jobs or available_cores()
     try:
@@ -237,6 +254,15 @@ def run(
         drawn if figure is None else figure,
         drawn if video is None else video,
     )
+
+
+def _replanning(replan_every: int | None, latency: int | None) -> dict[str, int]:
+    """Return the arguments of `make_manifest` that say when plans are made anew."""
+    if replan_every is None:
+        if latency is not None:
+            raise _fail(f"--latency needs --replan-every, got --latency {latency} without", 2)
+        return {}
+    return {"replan_every": replan_every} | ({} if latency is None else {"latency": latency})
 
 
 def _cells(

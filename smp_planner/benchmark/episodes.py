@@ -21,7 +21,8 @@ from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
 from smp_gym.suites import Cell
 from smp_planner.planning.plan import Plan
-from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.policy.planner_policy import Execution, PlannerPolicy
+from smp_planner.policy.replanning import LATENCY
 
 __all__ = [
     "WARM_UP_SEED",
@@ -118,7 +119,14 @@ class EpisodeRow:
         chosen_clearance: its least distance to anything in the exact map, m.
         chosen_goal_error: distance of its end to the nearest goal region, m.
         chosen_duration: its shortest execution within the joint velocity limits, s.
-        message: of the planner when no particle was good.
+        message: of the planner when no particle was good, or how often none was when plans were
+            made anew.
+        replan_every: control steps after which a plan is made anew at the latest; 0 where the
+            method plans once. The columns of particles are of the first plan.
+        latency: control steps from asking for a plan to its taking effect; 0 where it plans once.
+        replans: how many plans were made anew.
+        failed_replans: how many of these held no good particle.
+        replanning_time: mean time of these, s.
         planning_time: time of the whole plan, s.
         episode_time: time of the episode from reset to its end, planning included, s.
         stage_times: time of each stage of the plan by name, s; not in the CSV.
@@ -149,6 +157,11 @@ class EpisodeRow:
     chosen_goal_error: float | None = None
     chosen_duration: float | None = None
     message: str = ""
+    replan_every: int = 0
+    latency: int = 0
+    replans: int = 0
+    failed_replans: int = 0
+    replanning_time: float = 0.0
     planning_time: float = 0.0
     episode_time: float = 0.0
     stage_times: Mapping[str, float] = field(default_factory=dict)
@@ -221,6 +234,22 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
     }
 
 
+def _of_replanning(execution: Execution, policy: PlannerPolicy) -> dict[str, Any]:
+    """Return the columns that speak of plans made anew; none where the policy plans once."""
+    pursuit, replanning = execution.pursuit, policy.replanning
+    if pursuit is None or replanning is None:
+        return {}
+    messages = (execution.plan.message, pursuit.message)
+    return {
+        "message": "; ".join(message for message in messages if message),
+        "replan_every": replanning.every,
+        "latency": replanning.latency,
+        "replans": pursuit.replans,
+        "failed_replans": pursuit.failed,
+        "replanning_time": pursuit.seconds / max(pursuit.replans, 1),
+    }
+
+
 def _scene_of(key: EpisodeKey, folder: Path | None) -> Scene | None:
     """Return the stored scene of an episode of a frozen list."""
     if not key.half:
@@ -259,7 +288,8 @@ def play_episode(
         recorders=(hand, carried, *recorders),
     )
     elapsed = time.perf_counter() - began
-    plan = played.state[0].plan
+    execution: Execution = played.state[0]
+    plan = execution.plan
     row = EpisodeRow(
         task=key.task,
         method=key.method,
@@ -278,16 +308,18 @@ def play_episode(
         sensing=key.sensing,
         noise=key.noise,
         episode_time=elapsed,
-        **_of_plan(plan),
+        **{**_of_plan(plan), **_of_replanning(execution, policy)},
     )
     return PlayedEpisode(row, decode(played.first, key.task).scene, plan, carried.values)
 
 
 @lru_cache(maxsize=16)
-def _ready(cell: Cell, spec: str) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
+def _ready(
+    cell: Cell, spec: str, replan_every: int | None, latency: int
+) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
     """Return environment and policy of this process, after one unrecorded plan."""
     env = gym.make(environment_id(cell.task), **cell.make_arguments())
-    policy = PlannerPolicy.make(spec, cell.task)
+    policy = PlannerPolicy.make(spec, cell.task, replan_every=replan_every, latency=latency)
     observation, _ = env.reset(seed=WARM_UP_SEED)
     policy.predict(observation, deterministic=True)
     return env, policy
@@ -300,19 +332,25 @@ class PlayMethods:
     Attributes:
         specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
         lists: folder of the frozen lists; None for that of the package.
+        replan_every: see `PlannerPolicy`, as the next; None plans once.
+        latency: of plans, where they are made anew.
     """
 
     specs: Mapping[str, str] = field(default_factory=dict)
     lists: Path | None = None
+    replan_every: int | None = None
+    latency: int = LATENCY
 
     def policy(self, key: EpisodeKey) -> PlannerPolicy:
         """Return a new policy of the method of an episode."""
-        return PlannerPolicy.make(self._spec(key), key.task)
+        return PlannerPolicy.make(
+            self._spec(key), key.task, replan_every=self.replan_every, latency=self.latency
+        )
 
     def _spec(self, key: EpisodeKey) -> str:
         return self.specs.get(key.method, key.method)
 
     def __call__(self, key: EpisodeKey) -> EpisodeRow:
         """Play one episode and return its row."""
-        env, policy = _ready(key.cell, self._spec(key))
+        env, policy = _ready(key.cell, self._spec(key), self.replan_every, self.latency)
         return play_episode(key, env, policy, lists=self.lists).row

@@ -12,9 +12,11 @@ from typing import Any
 
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.suites import Cell
-from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
+from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow, PlayMethods
 from smp_planner.benchmark.results_folder import ResultsFolder, read_manifest, read_rows
 from smp_planner.planners.registry import resolve
+from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.policy.replanning import LATENCY
 
 __all__ = [
     "EpisodeStore",
@@ -48,6 +50,10 @@ class Manifest:
         suite: whose cells these are; empty if they were named one by one.
         lists: folder of the frozen lists; empty for that of the package.
         specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
+        replan_every: control steps after which plans are made anew at the latest; 0 where methods
+            plan once.
+        latency: control steps from asking for a plan to its taking effect; 0 where methods plan
+            once.
         method_codes: digests of the source files of the methods, wherever they live, by name.
     """
 
@@ -62,6 +68,8 @@ class Manifest:
     lists: str = ""
     specs: Mapping[str, str] = field(default_factory=dict)
     method_codes: Mapping[str, str] = field(default_factory=dict)
+    replan_every: int = 0
+    latency: int = 0
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Manifest:
@@ -77,6 +85,13 @@ class Manifest:
         """Return the manifest as JSON holds it, the cells by their names."""
         content = {each.name: getattr(self, each.name) for each in fields(self)}
         return {**content, "cells": {cell.name: asdict(cell) for cell in self.cells}}
+
+    @property
+    def player(self) -> PlayMethods:
+        """What plays the episodes."""
+        if not self.replan_every:
+            return PlayMethods(self.specs, self.lists_folder)
+        return PlayMethods(self.specs, self.lists_folder, self.replan_every, self.latency)
 
     @property
     def lists_folder(self) -> Path | None:
@@ -137,6 +152,8 @@ def make_manifest(
     frozen: bool = False,
     suite: str = "",
     lists: Path | None = None,
+    replan_every: int | None = None,
+    latency: int = LATENCY,
 ) -> Manifest:
     """Return the manifest of a run with the versions that are installed.
 
@@ -148,6 +165,8 @@ def make_manifest(
         frozen: play the first episodes of the frozen lists.
         suite: whose cells these are, if it was named.
         lists: folder of the frozen lists; by default that of the package.
+        replan_every: control steps after which plans are made anew at the latest; None plans once.
+        latency: control steps from asking for a plan to its taking effect.
 
     Raises:
         ValueError: a name that does not exist or is given twice, a cell without a list, or a number
@@ -160,6 +179,10 @@ def make_manifest(
             raise ValueError(f"name each {kind} once and at least one, got {', '.join(given)!r}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
+    if replan_every is not None:
+        # Whether a method can is known by the planner alone.
+        for spec in methods:
+            PlannerPolicy.make(spec, cells[0].task, replan_every=replan_every, latency=latency)
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed}")
     if frozen:
@@ -180,6 +203,8 @@ def make_manifest(
         "" if lists is None else str(lists),
         {method.name: method.spec for method in resolved},
         {method.name: method.digest for method in resolved},
+        replan_every or 0,
+        latency if replan_every else 0,
     )
 
 

@@ -8,7 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow, PlayMethods
+from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest
 from smp_planner.benchmark.results_folder import ResultsFolder
 from smp_planner.benchmark.worker_pool import workers
@@ -182,7 +182,7 @@ def run(
         play_missing(
             store,
             manifest.episode_keys(),
-            player or PlayMethods(manifest.specs, manifest.lists_folder),
+            player or manifest.player,
             jobs=jobs,
             on_progress=on_progress,
         )
@@ -210,7 +210,7 @@ def draw(
     keys = manifest.first_keys()
     if not (figure or video):
         return []
-    player = PlayMethods(manifest.specs, manifest.lists_folder)
+    player = manifest.player
     with workers(min(jobs, len(keys))) as pool:
         futures = [pool.submit(draw_episode, player, key, folder, figure, video) for key in keys]
         return [path for future in futures for path in future.result()]

@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 CSV_COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
-"""Columns of ``episodes.csv``; the last two are times and differ from run to run."""
+"""Columns of ``episodes.csv``; the last three are times and differ from run to run."""
 
 CONFIDENCE = 0.95
 """Level of all intervals."""
@@ -54,6 +54,8 @@ _MEANS = (
     "chosen_duration",
     "planning_time",
 )
+_REPLANNING = ("replans", "failed_replans", "replanning_time")
+
 Estimate = dict[str, float | int]
 
 
@@ -108,6 +110,10 @@ def _of_group(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
     for name in _MEANS:
         values = [float(value) for row in rows if (value := getattr(row, name)) is not None]
         summary[name] = mean_interval(values) if values else None
+    summary["replan_every"], summary["latency"] = rows[0].replan_every, rows[0].latency
+    if rows[0].replan_every:
+        for name in _REPLANNING:
+            summary[name] = mean_interval([float(getattr(row, name)) for row in rows])
     times = [row.planning_time for row in rows]
     summary["planning_time"]["median"] = float(np.median(times))
     summary["planning_time"]["p95"] = float(np.percentile(times, 95))
@@ -182,6 +188,10 @@ def _number(estimate: Mapping[str, float] | None, scale: float, digits: int) -> 
     return f"{value:.{digits}f} [dim]({low:.{digits}f}–{high:.{digits}f})[/]"
 
 
+def _when(group: Mapping[str, Any]) -> str:
+    return f"{group['replan_every']}, {group['latency']}" if group["replan_every"] else "–"
+
+
 def _origin(summary: Mapping[str, Any]) -> str:
     first, last = summary["seed"], summary["seed"] + summary["episodes"] - 1
     return "frozen list" if summary["frozen"] else f"seeds {first}–{last}"
@@ -243,6 +253,13 @@ def _table(summary: Mapping[str, Any], cell: str, groups: Sequence[Mapping[str, 
         ("steps", [_number(g["steps"], 1.0, 0) for g in groups]),
         ("planning time, s", [_number(g["planning_time"], 1.0, 3) for g in groups]),
     ]
+    if any(g["replan_every"] for g in groups):
+        lines += [
+            ("replanning: every, latency, steps", [_when(g) for g in groups]),
+            ("replans", [_number(g["replans"], 1.0, 1) for g in groups]),
+            ("  without a good particle", [_number(g["failed_replans"], 1.0, 1) for g in groups]),
+            ("replanning time, s", [_number(g["replanning_time"], 1.0, 3) for g in groups]),
+        ]
     halves = [half for half in HALVES if any(half in g["halves"] for g in groups)]
     lines[2:2] = [
         (f"  {half} half, %", [_percent(g["halves"].get(half, {}).get("success")) for g in groups])

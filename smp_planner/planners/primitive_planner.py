@@ -10,16 +10,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_planner.adaptation import ADAPTATIONS, Adaptation
+from smp_planner.adaptation import ADAPTATIONS, Adaptation, SteinSettings
 from smp_planner.batch.planning import DevicePlanner
+from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.own_costs import OwnCosts, checked_own_costs
 from smp_planner.planning.pipeline import one_thread, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.replanning import replan
 from smp_planner.planning.settings import PlanSettings, PriorSettings
 
 __all__ = ["PrimitivePlanner"]
+
+_MOST_MAPS = 16
+"""Grids of standing obstacles that are kept from one replan to the next."""
 
 
 class PrimitivePlanner:
@@ -64,6 +69,7 @@ class PrimitivePlanner:
         own = type(kind.settings)
         self.adaptation: Adaptation = replace(kind, settings=own.model_validate(given(own)))
         self._devices: dict[str, DevicePlanner] = {}
+        self._maps: dict[Any, Any] = {}
         with one_thread():
             self.prior: Prior = learn_prior(
                 list(np.array(demonstrations.configurations)),
@@ -78,6 +84,11 @@ class PrimitivePlanner:
             **self.plan_settings.model_dump(mode="json"),
             **self.adaptation.settings.model_dump(mode="json"),
         }
+
+    @property
+    def can_replan(self) -> bool:
+        """Whether it can go on from particles: Stein Movement Primitives, or conditioning."""
+        return self.adaptation.adapt is None or isinstance(self.adaptation.settings, SteinSettings)
 
     def plan(
         self,
@@ -124,4 +135,29 @@ class PrimitivePlanner:
             device=found,
             deadline=deadline,
             threads=threads,
+        )
+
+    def replan(self, plan: Plan, problem: Problem, particle: int | None = None) -> Plan:
+        """Return a plan for what is left of a problem, from the particles of the last one.
+
+        Args:
+            plan: the last one, of this planner.
+            problem: from `smp_planner.planning.replanning.resumed`.
+            particle: of the plan, that is executed; by default the best.
+
+        Raises:
+            ValueError: the plan is of another planner, the problem of another robot, or the
+                method one that cannot go on from particles.
+        """
+        if len(self._maps) > _MOST_MAPS:
+            self._maps.clear()
+        maps = SceneMaps(self.plan_settings, problem.seed, self._maps)
+        return replan(
+            plan,
+            problem,
+            self.prior,
+            self.adaptation,
+            self.plan_settings,
+            particle=particle,
+            maps=maps,
         )

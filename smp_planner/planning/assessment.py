@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,10 @@ from scipy.spatial.transform import Rotation
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
+from smp_planner.collision.moving import clearance_in_time
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planning.constraints import Reaching
+from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
@@ -48,6 +51,8 @@ class Verdict(NamedTuple):
         duration: (P,) s.
         missed: (P,) by name of the constraint.
         passing: (P,).
+        standing_free: (P,); None as `free`.
+        apart: (P,) m; None where nothing moves.
     """
 
     free: BoolArray
@@ -56,6 +61,8 @@ class Verdict(NamedTuple):
     duration: FloatArray
     missed: dict[str, FloatArray]
     passing: BoolArray
+    standing_free: BoolArray | None = None
+    apart: FloatArray | None = None
 
     @property
     def good(self) -> BoolArray:
@@ -73,24 +80,49 @@ class _Limits(NamedTuple):
 
 
 def _limits(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> _Limits:
-    executable, duration = problem.body.execution(trajectories, settings.duration_limit)
+    clock = problem.clock
+    rest = slice(clock.first(trajectories.shape[1]) if clock.phase > 0.0 else 0, None)
+    executable, duration = problem.body.execution(trajectories[:, rest], settings.duration_limit)
     return _Limits(executable, duration, *constraints_met(problem, trajectories, settings))
 
 
-def _collisions(problem: Problem, trajectories: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Return whether trajectories (P, T, D) are free, (P,), and their clearance (P,)."""
+class _Collisions(NamedTuple):
+    """What collisions P trajectories have; see `Verdict` for the fields."""
+
+    free: BoolArray
+    clearance: FloatArray
+    standing_free: BoolArray
+    apart: FloatArray | None
+
+
+def _collisions(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> _Collisions:
     count = len(trajectories)
     free, clearance = np.ones(count, np.bool_), np.full(count, np.inf)
     body, whole = problem.body, False
+    samples, clock = trajectories.shape[1], problem.clock
+    apart: FloatArray | None = None
     for stage in problem.stages:
-        part = trajectories[:, stage.steps(trajectories.shape[1])]
-        found = stage.body.check(part, stage.obstacles, stage.cloud)
+        steps = problem.ahead(stage, samples)
+        if steps.start == steps.stop:
+            continue
+        part = trajectories[:, steps]
+        standing, forecast = parted(problem, stage, settings)
+        found = stage.body.check(part, standing, stage.cloud)
         free, clearance = free & found.free, np.minimum(clearance, found.clearance)
+        if forecast is not None:
+            robot = robot_of(stage)
+            times = clock.times(trajectories, robot.velocity)[:, steps]
+            met = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
+            apart = met if apart is None else np.minimum(apart, met)
         whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
+    rest = slice(clock.first(samples) if clock.phase > 0.0 else 0, None)
     if not whole:
         # With all that it carries in the end, the body must stay clear of itself, too.
-        free = free & body.check(trajectories, ()).free
-    return free, clearance
+        free = free & body.check(trajectories[:, rest], ()).free
+    if apart is None:
+        return _Collisions(free, clearance, free, None)
+    met_none = free & (apart >= CLEARANCE_TOLERANCE)
+    return _Collisions(met_none, np.minimum(clearance, apart), free, apart)
 
 
 def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> Verdict:
@@ -101,9 +133,9 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
         trajectories: (P, T, D).
         settings: limit of the duration, and what may be missed.
     """
-    free, clearance = _collisions(problem, trajectories)
+    free, clearance, standing_free, apart = _collisions(problem, trajectories, settings)
     limits = _limits(problem, trajectories, settings)
-    return Verdict(free, clearance, *limits)
+    return Verdict(free, clearance, *limits, standing_free, apart)
 
 
 class _BestFirst:
@@ -117,9 +149,11 @@ class _BestFirst:
         problem: to be solved.
         trajectories: (P, T, D).
         costs: as of `rank`.
+        settings: see `assess`.
         limits: what else there is to tell.
         until: time of `time.perf_counter` from which on nothing more is checked, but for the first.
         known: whether particles are free and how clear, if they are checked already.
+        bonus: as of `rank`.
 
     Attributes:
         chosen: see `Checks`.
@@ -132,12 +166,14 @@ class _BestFirst:
         problem: Problem,
         trajectories: FloatArray,
         costs: Mapping[str, FloatArray],
+        settings: PlanSettings,
         limits: _Limits,
         until: float = math.inf,
         known: tuple[BoolArray, FloatArray] | None = None,
+        bonus: FloatArray | float = 0.0,
     ) -> None:
         self._problem, self._trajectories, self._costs = problem, trajectories, costs
-        self._limits = limits
+        self._settings, self._limits, self._bonus = settings, limits, bonus
         count = len(trajectories)
         self._checked = np.full(count, known is not None)
         self._free, self._clearance = np.zeros(count, np.bool_), np.full(count, np.nan)
@@ -167,13 +203,19 @@ class _BestFirst:
         """Return the order of `rank`, the greatest first, if particles were free and as clear."""
         limits = self._limits
         demanded, merit = demanded_and_merit(
-            free, limits.passing, limits.executable, clearance, limits.missed, self._costs
+            free,
+            limits.passing,
+            limits.executable,
+            clearance,
+            limits.missed,
+            self._costs,
+            self._bonus,
         )
         return list(zip(demanded.tolist(), merit.tolist(), range(len(free)), strict=True))
 
     def _check(self, indices: IntArray) -> None:
-        free, clearance = _collisions(self._problem, self._trajectories[indices])
-        self._free[indices], self._clearance[indices] = free, clearance
+        found = _collisions(self._problem, self._trajectories[indices], self._settings)
+        self._free[indices], self._clearance[indices] = found.free, found.clearance
         self._checked[indices] = True
 
     @property
@@ -194,6 +236,7 @@ class _BestFirst:
             self._clearance,
             limits.missed,
             self._costs,
+            self._bonus,
         )
         # A deadline may have ended the search for the best one before it was found.
         ranks[ranks < ranks[self.chosen]] += 1
@@ -230,6 +273,7 @@ def make_plan(
     reason: str = "no particle is good",
     until: float = math.inf,
     verdict: Verdict | None = None,
+    bonus: Callable[[IntArray, FloatArray], FloatArray] | None = None,
 ) -> Plan:
     """Return the plan that trajectories amount to: the best one is checked, the rest on demand.
 
@@ -244,14 +288,24 @@ def make_plan(
         until: time of `time.perf_counter` from which on the best one of those checked so far is
             taken.
         verdict: of the check, if it is made already.
+        bonus: from homotopy classes and durations of particles to what is added to their merit
+            (P,), in units of the log-prior.
     """
+    moving = any(parted(problem, stage, settings)[1] is not None for stage in problem.stages)
+    if verdict is None and (moving or bonus is not None):
+        verdict = assess(problem, trajectories, settings)
     if verdict is None:
         limits = _limits(problem, trajectories, settings)
-        checks = _BestFirst(problem, trajectories, costs, limits, until)
+        checks = _BestFirst(problem, trajectories, costs, settings, limits, until)
     else:
         limits = _Limits(verdict.executable, verdict.duration, verdict.missed, verdict.passing)
         known = verdict.free, verdict.clearance
-        checks = _BestFirst(problem, trajectories, costs, limits, known=known)
+        added: FloatArray | float = 0.0
+        if bonus is not None:
+            added = bonus(signatures(problem, trajectories), verdict.duration)
+        checks = _BestFirst(
+            problem, trajectories, costs, settings, limits, known=known, bonus=added
+        )
     plan = Plan.pending(
         checks,
         trajectories=trajectories,
@@ -262,6 +316,8 @@ def make_plan(
         executable=limits.executable,
         weights=weights,
         components=components,
+        standing_free=None if verdict is None else verdict.standing_free,
+        apart=None if verdict is None else verdict.apart,
     )
     if checks.ended_early and not checks.solved:
         plan.__dict__["message"] = (

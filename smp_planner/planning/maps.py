@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from smp_gym.geometry.distance import PackedObstacles
@@ -36,11 +38,15 @@ class SceneMaps:
     Args:
         settings: kind of map, and how a network is trained.
         seed: of points and training.
+        made: maps that there are already, to which those made here are added.
     """
 
-    def __init__(self, settings: PlanSettings, seed: int) -> None:
+    def __init__(
+        self, settings: PlanSettings, seed: int, made: dict[Any, Any] | None = None
+    ) -> None:
         self._settings, self._seed = settings, seed
-        self._made: dict[tuple[tuple[Obstacle, ...], Workspace], DistanceGrid | None] = {}
+        self._made: dict[tuple[tuple[Obstacle, ...], Workspace, int], DistanceGrid | None]
+        self._made = {} if made is None else made
 
     @property
     def exact(self) -> bool:
@@ -57,7 +63,7 @@ class SceneMaps:
         Returns:
             The map; None if a network is to be trained and no obstacle reaches into the workspace.
         """
-        key = obstacles, workspace
+        key = obstacles, workspace, self._seed if self._settings.map == "points" else 0
         if key not in self._made:
             self._made[key] = self._make(obstacles, workspace)
         return self._made[key]
@@ -88,14 +94,14 @@ class SceneMaps:
     def _composed(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid:
         """Return the minimum over obstacles, begun with a map of the most of them there is."""
         known: tuple[Obstacle, ...] = ()
-        for made, around in self._made:
+        for made, around, _ in self._made:
             if around == workspace and len(made) > len(known) and set(made) <= set(obstacles):
                 known = made
         rest = tuple(obstacle for obstacle in obstacles if obstacle not in known)
         composed: OccupancyMap = AnalyticMap(rest, TRUNCATION)
         if self._settings.map == "shapes":
             composed = ShapeNetworkMap(rest, default_networks())
-        begun = self._made.get((known, workspace)) if known else None
+        begun = self._made.get((known, workspace, 0)) if known else None
         return bake(composed, workspace) if begun is None else lowered(begun, composed)
 
 

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.constraints import Constraint
+from smp_planner.planning.forecasting import parted
 from smp_planner.planning.own_costs import OwnCost
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Part",
+    "PlanState",
     "Stopwatch",
     "condition",
     "conditioned_parts",
@@ -93,12 +95,29 @@ class Part:
         branch: numbers that tell it from others of its component; none if it is the only one.
         primitive: the component, conditioned.
         latent: (P_c, r) particles in its whitened coordinates.
+        memory: what the optimiser remembers of them; None if nothing.
+        iteration: how many iterations of inference they went through that are remembered.
     """
 
     component: int
     branch: tuple[int, ...]
     primitive: ProMP
     latent: Tensor
+    memory: Any = None
+    iteration: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class PlanState:
+    """What a planner goes on from when a plan is made anew, `Plan.state`.
+
+    Attributes:
+        prior: digest of the prior.
+        parts: the particles, in the order of the plan.
+    """
+
+    prior: str
+    parts: tuple[Part, ...]
 
 
 def condition(
@@ -268,7 +287,7 @@ def plan_problems(
     chosen = []
     for attempt in attempts:
         assert attempt.best is not None
-        chosen.append(attempt.best.timed(attempt.stopwatch.timings))
+        chosen.append(attempt.best.changed(timings=attempt.stopwatch.timings))
     return chosen
 
 
@@ -375,7 +394,9 @@ def _plan_of(
             trajectories = primitive.trajectory(weights, settings.samples).numpy()
         else:
             trajectories = finished.trajectories
-        return make_plan(
+        if attempt.problem.done is not None:
+            trajectories[:, : len(attempt.problem.done)] = attempt.problem.done
+        plan = make_plan(
             attempt.problem,
             trajectories,
             costs,
@@ -385,6 +406,7 @@ def _plan_of(
             until=until,
             verdict=None if finished is None else finished.verdict,
         )
+    return plan.changed(state=PlanState(prior.digest, tuple(parts)))
 
 
 def _weights(attempt: _Attempt) -> Tensor:
@@ -405,6 +427,8 @@ def _on_device(
         return []
     everyone = [(attempt, 1.0 / len(attempts)) for attempt in attempts]
     problems = [attempt.problem for attempt in attempts]
+    if any(parted(p, stage, settings)[1] is not None for p in problems for stage in p.stages):
+        raise ValueError("obstacles must stand still to be planned around on a device")
     tables = None
     if adaptation.adapt is not None:
         if not isinstance(adaptation.settings, SteinSettings):

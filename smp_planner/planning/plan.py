@@ -55,11 +55,14 @@ class Plan:
             a point cloud as far as the map that was learned of it knows, and whether the
             trajectory stays where it does.
         clearance: (P,) least distance to an obstacle, negative inside; infinity without any. What
-            is farther from a point cloud than 0.15 (m, or extents) counts as that far.
+            is farther from a point cloud than 0.15 (m, or extents) counts as that far. Of obstacles
+            that move it is that to where they are expected when the arm is there, less the margin
+            of that (`smp_planner.collision.moving.Forecast`).
         missed: by how much (P,) each constraint is missed by its name ("start", "goal",
             "via_points"); 0 within a box or tolerance.
         passing: (P,) whether all constraints are met.
-        duration: (P,) s, shortest execution within the joint velocity limits; NaN without a robot.
+        duration: (P,) s, shortest execution within the joint velocity limits, of what is not done
+            yet; NaN without a robot.
         executable: (P,) whether joint limits hold and `duration` is within the planner's limit.
         ranks: (P,) place of each in the order in which the planner prefers them, 0 the best.
         signatures: (P, 1 + S) homotopy class of each: the index of the goal region that it ends
@@ -72,6 +75,10 @@ class Plan:
         message: empty, or why no particle is good.
         display: what `plot` draws beside the trajectories, by name.
         tool_paths: (P, T, 3) m, the paths of a robot's tool, where they were asked for.
+        standing_free: (P,) as `collision_free`, but for obstacles that move.
+        apart: (P,) m, as `clearance`, of obstacles that move alone; None where none does.
+        state: from which the planner can go on (`smp_planner.planning.replanning`); None if it
+            cannot.
     """
 
     trajectories: FloatArray
@@ -90,6 +97,9 @@ class Plan:
     message: str = ""
     display: Mapping[str, Any] = field(default_factory=dict)
     tool_paths: FloatArray | None = None
+    standing_free: BoolArray | None = None
+    apart: FloatArray | None = None
+    state: Any = None
 
     @classmethod
     def pending(cls, checks: Checks, **known: Any) -> Plan:
@@ -113,10 +123,10 @@ class Plan:
         self.__dict__.update(checks.complete())
         return self.__dict__[name]
 
-    def timed(self, timings: Mapping[str, float]) -> Plan:
-        """Return the plan with other timings, open where this one is."""
+    def changed(self, **fields: Any) -> Plan:
+        """Return the plan with other values of fields, open where this one is."""
         plan = copy.copy(self)
-        plan.__dict__["timings"] = timings
+        plan.__dict__.update(fields)
         return plan
 
     def __repr__(self) -> str:

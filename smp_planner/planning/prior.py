@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -35,6 +37,12 @@ class Prior:
     single: ProMP
     mixture: ProMPMixture
     settings: PriorSettings
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of what was learned, which tells priors apart."""
+        content = self.single.mean.numpy().tobytes() + self.single.factor.numpy().tobytes()
+        return hashlib.blake2b(content, digest_size=8).hexdigest()
 
     @property
     def used(self) -> ProMPMixture:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -17,6 +18,7 @@ from smp_planner.occupancy.point_cloud import CloudMap
 from smp_planner.planning.bodies import Body, RobotBody
 from smp_planner.planning.constraints import Constraint, Exactly, Poses, Reaching, ToolPath
 from smp_planner.planning.maps import WORKSPACE
+from smp_planner.planning.timing import Clock
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose, checked_array
 
 if TYPE_CHECKING:
@@ -70,6 +72,12 @@ class Problem:
         seed: from which all randomness of the plan is drawn.
         movable: those obstacles that are no fixtures of the task; on which side of them
             trajectories pass tells homotopy classes apart.
+        clock: when a robot executes the trajectory; what is before its phase is done, and neither
+            costs anything nor is checked.
+        turns: rad/s, at which the velocities of obstacles turn; those that are missing go straight.
+        foresight: s after the observation, until when trajectories are checked against obstacles
+            that move; later they are costs only, to be looked at again by then.
+        done: (S, D) samples of what is done, at the steps of a plan; None if nothing is.
 
     Raises:
         ValueError: no stage.
@@ -80,6 +88,10 @@ class Problem:
     stages: tuple[Stage, ...]
     seed: int = 0
     movable: tuple[Obstacle, ...] = ()
+    clock: Clock = Clock()  # noqa: RUF009
+    turns: Mapping[Obstacle, tuple[float, ...]] = field(default_factory=dict)
+    foresight: float = math.inf
+    done: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if not self.stages:
@@ -90,6 +102,14 @@ class Problem:
         """Phases at which trajectories are held: both ends and the constraints'; ascending."""
         held = [phase for constraint in self.constraints for phase in constraint.phases]
         return np.unique(np.round([0.0, 1.0, *held], 9))
+
+    def ahead(self, stage: Stage, count: int) -> slice:
+        """Return the slice of `count` equal steps of a stage that are not done; it may be empty."""
+        steps = stage.steps(count)
+        if self.clock.phase == 0.0:
+            return steps
+        begin = max(steps.start, self.clock.first(count))
+        return slice(begin, steps.stop if steps.stop - begin > 1 else begin)
 
     @property
     def robot(self) -> RobotModel:

@@ -22,6 +22,7 @@ def demanded_and_merit(
     clearance: FloatArray,
     missed: Mapping[str, FloatArray],
     costs: Mapping[str, FloatArray],
+    bonus: FloatArray | float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Return what particles are put in order by, (P,) and, among equals, (P,); higher is better.
 
@@ -31,7 +32,7 @@ def demanded_and_merit(
     unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
     dissimilarity = costs["prior"] if "prior" in costs else costs["length"]
     # One unit of the prior is worth a tenth of a millimetre of missing clearance.
-    merit = -dissimilarity - 1e4 * unsafe
+    merit = -dissimilarity - 1e4 * unsafe + bonus
     for value in missed.values():
         merit = merit - 1e3 * value
     return demanded, merit
@@ -44,6 +45,7 @@ def rank(
     clearance: FloatArray,
     missed: Mapping[str, FloatArray],
     costs: Mapping[str, FloatArray],
+    bonus: FloatArray | float = 0.0,
 ) -> NDArray[np.int64]:
     """Return the place (P,) of each particle, the best having 0.
 
@@ -58,8 +60,9 @@ def rank(
         clearance: (P,) m (or extents).
         missed: by how much (P,) each constraint is missed, same unit.
         costs: (P,) by name; `prior` counts, and where there is none, `length`.
+        bonus: (P,) added to the merit, in units of the log-prior.
     """
-    demanded, merit = demanded_and_merit(free, passing, executable, clearance, missed, costs)
+    demanded, merit = demanded_and_merit(free, passing, executable, clearance, missed, costs, bonus)
     order = np.lexsort((merit, demanded))[::-1]
     places = np.empty(len(order), np.int64)
     places[order] = np.arange(len(order))

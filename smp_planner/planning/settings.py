@@ -64,6 +64,11 @@ class PlanSettings(BaseModel):
         velocity_weight: of the excess over the joint velocity limits.
         limit_weight: of the excess over the joint limits.
         duration_limit: s, within which an executable trajectory must be feasible.
+        forecast_horizon: s, for which obstacles that move are taken to go on as they were observed;
+            then they are taken to stay. With 0 they are taken to stand where they are.
+        forecast_growth: m by which such an obstacle is enlarged for each metre that it is expected
+            to have gone.
+        forecast_margin: m, least and greatest margin of such an obstacle.
         retries: how often a problem without a good particle is tried again, each time with twice
             the added deviation.
     """
@@ -86,4 +91,7 @@ class PlanSettings(BaseModel):
     velocity_weight: float = Field(default=10.0, ge=0.0, allow_inf_nan=False)
     limit_weight: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
     duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
+    forecast_horizon: float = Field(default=2.0, ge=0.0, allow_inf_nan=False)
+    forecast_growth: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
+    forecast_margin: tuple[float, float] = (0.01, 0.05)
     retries: int = Field(default=1, ge=0)

@@ -17,7 +17,9 @@ from smp_planner.collision.costs import (
     ValueAndGradient,
     steps_scale,
 )
+from smp_planner.collision.moving import MovingCollisionCost
 from smp_planner.planning.bodies import ObstacleCost
+from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
@@ -34,6 +36,7 @@ class SceneTarget:
         settings: weights and widths.
         extra: further costs by name with their weights, functions of trajectories (P, T, D).
         threads: that share the particles; by default, the caller's alone.
+        maps: of standing obstacles, if there are some already.
     """
 
     def __init__(
@@ -42,17 +45,24 @@ class SceneTarget:
         settings: PlanSettings,
         extra: dict[str, tuple[float, Cost]] | None = None,
         threads: Threads | None = None,
+        maps: SceneMaps | None = None,
     ) -> None:
         self.problem, self.settings = problem, settings
         self._threads = threads or Threads(1)
         self._stages: list[tuple[Stage, ObstacleCost]] = []
-        maps = SceneMaps(settings, problem.seed)
+        self._moving: list[tuple[Stage, MovingCollisionCost]] = []
+        maps = SceneMaps(settings, problem.seed) if maps is None else maps
         # Maps of few obstacles first: those of more begin with them.
         for stage in sorted(problem.stages, key=lambda stage: len(stage.obstacles)):
-            cost = stage.body.obstacle_cost(stage.obstacles, stage.cloud, maps)
+            standing, forecast = parted(problem, stage, settings)
+            cost = stage.body.obstacle_cost(standing, stage.cloud, maps)
             if cost is not None:
                 self._stages.append((stage, cost))
-        terms = problem.body.limit_costs(settings)
+            if forecast is not None:
+                self._moving.append((stage, MovingCollisionCost(robot_of(stage), forecast)))
+        limits = problem.body.limit_costs(settings)
+        self._limits = tuple(limits)
+        terms = dict(limits)
         for constraint in problem.constraints:
             pull = constraint.cost(settings)
             if pull is not None:
@@ -78,6 +88,11 @@ class SceneTarget:
             progress: 0 in the first iteration to 1 in the last; narrows the map's edge.
         """
         return self._weighted(trajectories, self._width(progress))[1]
+
+    def _rest(self, name: str, count: int) -> slice:
+        """Return the steps that a cost sees: limits are kept by what is not done."""
+        clock = self.problem.clock
+        return slice(clock.first(count) if clock.phase > 0.0 and name in self._limits else 0, None)
 
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted, as `gradient`."""
@@ -106,16 +121,19 @@ class SceneTarget:
             self._add_collision(
                 part, width, settings.margin, settings.obstacle_weight, total, slope
             )
-            for weight, cost in self._terms.values():
-                if isinstance(cost, CompiledCost):
+            for name, (weight, cost) in self._terms.items():
+                if isinstance(cost, CompiledCost) and self._rest(name, count).start == 0:
                     cost.add(part, weight, total, slope)
 
+        count = trajectories.shape[1]
         self._threads.over(len(trajectories), add)
-        for weight, cost in self._terms.values():
-            if not isinstance(cost, CompiledCost):
-                found, slope = cost(trajectories)
-                value += weight * found
-                gradient += weight * slope
+        for name, (weight, cost) in self._terms.items():
+            rest = self._rest(name, count)
+            if not isinstance(cost, CompiledCost) or rest.start > 0:
+                found, slope = cost(np.ascontiguousarray(trajectories[:, rest]))
+                scale = weight * slope.shape[1] / count
+                value += scale * found
+                gradient[:, rest] += scale * slope
         return value, gradient
 
     def _collision(self, trajectories: FloatArray, width: float, margin: float) -> ValueAndGradient:
@@ -139,13 +157,26 @@ class SceneTarget:
         # costs the same however finely it is sampled.
         share = weight * (REFERENCE_STEPS - 1) / (count - 1)
         for stage, cost in self._stages:
-            steps = stage.steps(count)
+            steps = self.problem.ahead(stage, count)
+            if steps.start == steps.stop:
+                continue
             if isinstance(cost, CollisionCost):
                 cost.add_stretch(
                     trajectories, steps.start, steps.stop, width, margin, share, value, gradient
                 )
                 continue
             of_stage, slope = cost(trajectories[:, steps], width, margin)
+            scale = share / steps_scale(slope.shape[1])
+            value += scale * of_stage
+            gradient[:, steps] += scale * slope
+        if not self._moving:
+            return
+        times = self.problem.clock.times(trajectories, self.problem.robot.velocity)
+        for stage, moving in self._moving:
+            steps = self.problem.ahead(stage, count)
+            if steps.start == steps.stop:
+                continue
+            of_stage, slope = moving(trajectories[:, steps], times[:, steps], width, margin)
             scale = share / steps_scale(slope.shape[1])
             value += scale * of_stage
             gradient[:, steps] += scale * slope

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,15 @@ from smp_planner.planning.problem import Planner, Problem
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.policy_file import SavedPolicy, read_policy, write_policy
+from smp_planner.policy.replanning import (
+    LATENCY,
+    Pursuit,
+    Replanner,
+    Replanning,
+    begin,
+    foreseen,
+    pursue,
+)
 from smp_planner.policy.tracking import GripperEvent, Track, gripper_event
 
 __all__ = ["Execution", "PlannerPolicy"]
@@ -41,12 +50,29 @@ class Execution:
         particle: which of its particles is executed.
         track: that particle's trajectory with its timing.
         digest: fingerprint of the observation that was planned from.
+        pursuit: state of the execution, where plans are made anew; `plan`, `particle` and `track`
+            are the first then.
     """
 
     plan: Plan
     particle: int
     track: Track
     digest: int
+    pursuit: Pursuit | None = None
+
+
+def _replanning(planner: Planner, every: int | None, latency: int) -> Replanning | None:
+    """Return when plans are made anew; None if they are not."""
+    # The latency is checked in any case.
+    checked = Replanning(1 if every is None else every, latency)
+    if every is None:
+        return None
+    if not (isinstance(planner, Replanner) and planner.can_replan):
+        raise ValueError(
+            "replan_every needs a planner that can go on from a plan, of the methods here smp and "
+            f"promp; got {type(planner).__name__}"
+        )
+    return checked
 
 
 class PlannerPolicy:
@@ -61,9 +87,26 @@ class PlannerPolicy:
             is grasped or a stroke drawn, how.
         seed: from which, together with an episode's first observation, all randomness is drawn.
             Neither the order of calls nor what was played before matters.
+        replan_every: control steps after which a plan is made anew, at the latest; it is at once
+            where an obstacle is not where it was expected or the arm lags. None plans once.
+        latency: control steps from asking for a plan, the first included, to its taking effect,
+            whatever time planning took.
+
+    Raises:
+        ValueError: `replan_every` or `latency` is no positive whole number, or the planner cannot
+            make plans anew.
     """
 
-    def __init__(self, planner: Planner, demonstrations: Demonstrations, seed: int = 0) -> None:
+    def __init__(
+        self,
+        planner: Planner,
+        demonstrations: Demonstrations,
+        seed: int = 0,
+        *,
+        replan_every: int | None = None,
+        latency: int = LATENCY,
+    ) -> None:
+        self.replanning = _replanning(planner, replan_every, latency)
         self.planner = planner
         self.demonstrations = demonstrations
         self.task = demonstrations.task
@@ -85,6 +128,8 @@ class PlannerPolicy:
         demonstrations: Demonstrations | None = None,
         settings: Mapping[str, Any] | None = None,
         seed: int = 0,
+        replan_every: int | None = None,
+        latency: int = LATENCY,
     ) -> PlannerPolicy:
         """Return a policy by the name of its method.
 
@@ -94,7 +139,9 @@ class PlannerPolicy:
             task: whose shipped demonstrations to learn from; or give `demonstrations`.
             demonstrations: what to learn from, in place of the shipped ones.
             settings: settings of the method by name.
-            seed: see the class.
+            seed: see the class, as the next two.
+            replan_every: when plans are made anew.
+            latency: when they take effect.
 
         Raises:
             ValueError: unknown method, task or setting; the message lists what exists.
@@ -103,7 +150,8 @@ class PlannerPolicy:
             if task is None:
                 raise ValueError("task or demonstrations must be given, got neither")
             demonstrations = Demonstrations.load(task)
-        return cls._of(resolve(method), demonstrations, settings or {}, seed)
+        options = {"replan_every": replan_every, "latency": latency}
+        return cls._of(resolve(method), demonstrations, settings or {}, seed, options)
 
     @classmethod
     def _of(
@@ -112,8 +160,9 @@ class PlannerPolicy:
         demonstrations: Demonstrations,
         settings: Mapping[str, Any],
         seed: int,
+        options: Mapping[str, Any],
     ) -> PlannerPolicy:
-        policy = cls(method.make(demonstrations, settings), demonstrations, seed)
+        policy = cls(method.make(demonstrations, settings), demonstrations, seed, **options)
         policy._made_by = method.spec, method.settings(demonstrations.task, settings)
         return policy
 
@@ -171,13 +220,19 @@ class PlannerPolicy:
         for i, problem, plan in zip(due, problems, self.planner.plan(problems), strict=True):
             executions[i] = self._execution(plan, problem, decoded[i], deterministic)
         ready = tuple(e for e in executions if e is not None)
-        actions = np.stack(
-            [
-                execution.track.action(row.elapsed_steps, row.robot.reference)
-                for execution, row in zip(ready, decoded, strict=True)
-            ]
-        )
-        return (actions if batched else actions[0]), ready
+        moved = [self._acted(execution, row) for execution, row in zip(ready, decoded, strict=True)]
+        actions = np.stack([action for _, action in moved])
+        return (actions if batched else actions[0]), tuple(execution for execution, _ in moved)
+
+    def _acted(self, execution: Execution, row: DecodedObservation) -> tuple[Execution, Actions]:
+        """Return the state after one environment step, and its action (7,)."""
+        if execution.pursuit is None:
+            action = execution.track.action(row.elapsed_steps, row.robot.reference)
+            return execution, action
+        assert self.replanning is not None
+        assert isinstance(self.planner, Replanner)
+        pursuit, action = pursue(execution.pursuit, row, self.planner, self._event, self.replanning)
+        return replace(execution, pursuit=pursuit), action
 
     def problem(self, observation: Mapping[str, NDArray[Any]] | NDArray[Any]) -> Problem:
         """Return the problem that one observation poses, as `predict` hands it to the planner.
@@ -200,7 +255,8 @@ class PlannerPolicy:
         return plan
 
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
-        return problem_from(decoded, digest, self._phases, grasping=self._grasping)
+        problem = problem_from(decoded, digest, self._phases, grasping=self._grasping)
+        return problem if self.replanning is None else foreseen(problem, self.replanning)
 
     def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
         """Return the timed trajectory of one particle of a plan, as the policy would execute it.
@@ -255,7 +311,10 @@ class PlannerPolicy:
             if len(candidates):
                 particle = int(np.random.default_rng([problem.seed, 1]).choice(candidates))
         track = self.track(plan, particle, decoded.elapsed_steps)
-        return Execution(plan, particle, track, problem.seed)
+        pursuit = None
+        if self.replanning is not None:
+            pursuit = begin(plan, problem, particle, decoded.elapsed_steps, self.replanning)
+        return Execution(plan, particle, track, problem.seed, pursuit)
 
     def save(self, path: str | Path) -> None:
         """Write method, settings, demonstrations and seed to one file, without pickle.
@@ -271,13 +330,22 @@ class PlannerPolicy:
         write_policy(Path(path), SavedPolicy(*self._made_by, self.seed, self.demonstrations))
 
     @classmethod
-    def load(cls, path: str | Path, factory: Callable[..., Planner] | None = None) -> PlannerPolicy:
+    def load(
+        cls,
+        path: str | Path,
+        factory: Callable[..., Planner] | None = None,
+        *,
+        replan_every: int | None = None,
+        latency: int = LATENCY,
+    ) -> PlannerPolicy:
         """Read what `save` wrote; runs no code from the file, nor any that the file names.
 
         Args:
             path: of the file.
             factory: what makes the planner, where the method was given as ``name=module:Class``:
                 that class.
+            replan_every: see the class, as the next; a file does not say it.
+            latency: when plans take effect.
 
         Raises:
             ValueError: the file is damaged, not a policy, or of another version, its method is
@@ -293,4 +361,5 @@ class PlannerPolicy:
             )
         else:
             method = resolve(saved.method)
-        return cls._of(method, saved.demonstrations, saved.settings, saved.seed)
+        options = {"replan_every": replan_every, "latency": latency}
+        return cls._of(method, saved.demonstrations, saved.settings, saved.seed, options)

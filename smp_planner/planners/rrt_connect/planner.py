@@ -385,7 +385,7 @@ class SearchPlanner:
                     f"{settings.postures} configurations at the goal are free"
                 ),
             )
-        return plan.timed(stopwatch.timings)
+        return plan.changed(timings=stopwatch.timings)
 
 
 class RRTConnectPlanner(SearchPlanner):

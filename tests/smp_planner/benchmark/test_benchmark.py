@@ -35,7 +35,7 @@ from smp_planner.benchmark.summary import (
     write_csv,
 )
 
-TIMES = ("planning_time", "episode_time")
+TIMES = ("replanning_time", "planning_time", "episode_time")
 MEDIUM, HARD = Cell("Placement", "medium"), Cell("Placement", "hard")
 
 
@@ -199,7 +199,7 @@ def test_csv_is_sorted_and_ends_with_the_times(tmp_path: Path) -> None:
     with (tmp_path / "rows.csv").open() as file:
         header, *rows = list(csv.reader(file))
     assert tuple(header) == CSV_COLUMNS
-    assert tuple(header[-2:]) == TIMES
+    assert tuple(header[-3:]) == TIMES
     found = [(row[0], row[1], row[2], int(row[3])) for row in rows]
     assert found == sorted((k.task, k.method, k.difficulty, k.seed) for k in keys)
     assert float(rows[0][header.index("goal_error")]) == fake_play(min(keys)).goal_error

@@ -22,7 +22,7 @@ from smp_planner.benchmark.episodes import EpisodeKey, PlayedEpisode, environmen
 from smp_planner.benchmark.manifest import read_results
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-TIMES = ("planning_time", "episode_time")
+TIMES = ("replanning_time", "planning_time", "episode_time")
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +88,38 @@ def test_the_command_plays_the_lists_of_a_suite(tmp_path: Path) -> None:
     assert (manifest.suite, manifest.cells) == ("standard", (cells[0],))
     assert [(row.seed, row.half) for row in rows] == [(7, "witness"), (9, "witness")]
     assert not list(out.glob("*.png"))
+
+
+def test_the_command_makes_plans_anew_and_rows_say_so(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    common = ["run", "--jobs", "1", "--no-figure", "--no-video", "--difficulty", "none"]
+    common += ["--episodes", "1", "--seed", "3", "--out", str(out)]
+    own = ["--methods", "promp", "--replan-every", "25", "--latency", "3"]
+    result = CliRunner().invoke(app, [*common, *own])
+    assert result.exit_code == 0, result.output
+    assert "replanning: every, latency, steps" in result.output
+    manifest, (row,) = read_results(out)
+    assert (manifest.replan_every, manifest.latency) == (25, 3)
+    assert (row.replan_every, row.latency) == (25, 3)
+    assert row.success
+    assert 3 <= row.replans <= row.steps // 25
+    assert 0.0 < row.replanning_time < row.episode_time
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--latency", "3"], "--latency needs --replan-every"),
+        (["--methods", "cpromp", "--replan-every", "5"], "can go on from a plan"),
+        (["--methods", "rrt_connect", "--replan-every", "5"], "can go on from a plan"),
+    ],
+)
+def test_the_command_refuses_replanning_that_cannot_be(
+    tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    result = CliRunner().invoke(app, ["run", "--out", str(tmp_path / "out"), *arguments])
+    assert result.exit_code == 2
+    assert message in " ".join(result.output.split())
 
 
 def test_rows_say_what_the_plan_says(rollouts: dict[str, PlayedEpisode]) -> None:

@@ -92,7 +92,7 @@ def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, mon
 
 def test_a_plan_leaves_its_open_fields_alone_until_they_are_asked_for(planner, problem):
     (plan,) = planner.plan([problem])
-    timed = plan.timed({"all": 1.0})
+    timed = plan.changed(timings={"all": 1.0})
     assert "unknown good" in repr(timed)
     assert "ranks" not in timed.__dict__
     assert timed.collision_free.shape == (12,)
