@@ -50,13 +50,13 @@ def test_single_precision_is_enough(tables, paths):
 
 
 def test_costs_are_those_of_planning_without_a_device(tables, problems, settings, paths):
-    """But for obstacles, which are asked exactly here and on a grid of 15 mm there."""
+    """In double precision here, in single there; obstacles exactly here, on a 15 mm grid there."""
     found = PlainCosts(tables).costs(paths)
     gradients = PlainCosts(tables).gradient(paths, settings.edge_width[1])
     for b, problem in enumerate(problems):
         target = SceneTarget(problem, settings)
         for name, expected in target.costs(paths[b].numpy()).items():
-            tolerance = 0.05 if name == "obstacles" else 1e-9
+            tolerance = 0.05 if name == "obstacles" else 3e-4
             np.testing.assert_allclose(
                 found[name][b], expected, rtol=tolerance, atol=tolerance, err_msg=name
             )
