@@ -7,7 +7,7 @@ arm and no scene.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -48,15 +48,18 @@ class Adaptation:
         settings: of the function.
         adapt: carries draws of the prior to a target; None leaves the conditioned draws as they
             are.
+        timely: whether `adapt` takes a last argument ``until``, a time of `time.perf_counter`, by
+            which it returns what it has.
     """
 
     settings: BaseModel
     adapt: Adapt | None
+    timely: bool = False
 
 
 ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
     {
-        "smp": Adaptation(SteinSettings(), stein),
+        "smp": Adaptation(SteinSettings(), stein, timely=True),
         "promp": Adaptation(Unadapted(), None),
         "cpromp": Adaptation(VariationalSettings(), gaussian_vi),
         "prompt_o": Adaptation(OptimisedMeanSettings(), optimised_mean),
@@ -80,4 +83,4 @@ def adaptation(name: str, **settings: Any) -> Adaptation:
     if name not in ADAPTATIONS:
         raise ValueError(f"method must be one of {', '.join(ADAPTATIONS)}; got {name!r}")
     known = ADAPTATIONS[name]
-    return Adaptation(type(known.settings).model_validate(settings), known.adapt)
+    return replace(known, settings=type(known.settings).model_validate(settings))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -65,7 +66,7 @@ class Target(Protocol):
         ...
 
 
-Adapt = Callable[["Runs", Tensor, Target, Sequence[np.random.Generator], Any, Good | None], Tensor]
+Adapt = Callable[..., Tensor]
 """An adaptation: from runs, particles (B, P, r) drawn from their priors (whitened, so standard
 normals), the target, a generator for each run, the adaptation's settings, and a question that may
 be asked before the end, to adapted particles (B, P, r). Particles of a run see each other; runs do
@@ -113,6 +114,21 @@ class Runs:
     def pull_back(self, gradient: Tensor) -> Tensor:
         """Return the gradient (B, P, K*D) by weights of what has (B, P, T, D) by trajectories."""
         return (self.values.mT @ gradient).flatten(-2)
+
+    def latent_trajectories(self, latent: Tensor) -> Tensor:
+        """Return the trajectories (B, P, T, D) of whitened particles (B, P, r)."""
+        mean, factor = self._of_latent
+        return (mean + latent @ factor).unflatten(-1, (self.steps, -1))
+
+    def latent_gradient(self, gradient: Tensor) -> Tensor:
+        """Return the gradient (B, P, r) by whitened particles of one (B, P, T, D) by paths."""
+        return gradient.flatten(-2) @ self._of_latent[1].mT
+
+    @cached_property
+    def _of_latent(self) -> tuple[Tensor, Tensor]:
+        """Trajectories as a linear map: (B, 1, T*D) the mean's, and (B, r, T*D)."""
+        columns = self.trajectories(self.factor.mT).flatten(-2)
+        return self.trajectories(self.mean).flatten(-2), columns.contiguous()
 
     def unwhiten(self, latent: Tensor) -> Tensor:
         """Return the weights (B, P, K*D) of whitened particles (B, P, r)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,9 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from torch import Tensor
 
 from smp_planner.adaptation.runs import Good, Runs, Target
-from smp_planner.inference import SVGDSettings, converged, init, named_settings, step
+from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
 
-__all__ = ["SteinSettings", "stein"]
+__all__ = ["SteinSettings", "inference_of", "iterate", "stein"]
+
+_TIMED = 2
+"""Iterations after which it is asked how many more there is time for."""
 
 
 class SteinSettings(BaseModel):
@@ -48,16 +53,46 @@ class SteinSettings(BaseModel):
         return name
 
 
-def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+def inference_of(settings: SteinSettings) -> SVGDSettings:
+    """Return the settings of SVGD, without a metric."""
     inference = replace(named_settings(settings.inference), iterations=settings.iterations)
     if settings.step_size is not None:
         inference = replace(inference, step_size=settings.step_size)
+    return inference
+
+
+def _inference(runs: Runs, settings: SteinSettings) -> SVGDSettings:
+    inference = inference_of(settings)
     if inference.needs_metric:
         root = runs.primitives[0].path_root(runs.steps)
         if inference.whiten:
             root = runs.primitives[0].whiten_gradient(root)
         inference = inference.with_metric(root)
     return inference
+
+
+def iterate(runs: Runs, state: State, target: Target, inference: SVGDSettings) -> State:
+    """Return the state after one more iteration, without waiting for the device that it is on.
+
+    Args:
+        runs: the priors.
+        state: before it.
+        target: the costs.
+        inference: the settings with which `state` began.
+    """
+    particles = state.particles
+    progress = state.iteration / max(inference.iterations - 1, 1)
+    if inference.whiten:
+        gradient = target.gradient(runs.latent_trajectories(particles), progress)
+        prior_score, score = -particles, -runs.latent_gradient(gradient)
+    else:
+        gradient = target.gradient(runs.trajectories(particles), progress)
+        prior_score, score = runs.score(particles), -runs.pull_back(gradient)
+    state = step(state, prior_score, score, inference, validate=False)
+    if not inference.whiten:
+        # Raw weights leave what conditioning made certain, the start above all.
+        state = state._replace(particles=runs.project(state.particles))
+    return state
 
 
 def stein(
@@ -67,30 +102,32 @@ def stein(
     rngs: Sequence[np.random.Generator],
     settings: SteinSettings,
     good: Good | None = None,
+    until: float = math.inf,
 ) -> Tensor:
-    """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing."""
+    """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing.
+
+    Where time runs short there are fewer iterations: after each, their number is set to what the
+    mean time of those so far leaves room for, and the schedules to that number, so that particles
+    settle before the end.
+    """
     inference = _inference(runs, settings)
-    whiten = inference.whiten
     ask = settings.early_stop and good is not None
 
     def whitened(particles: Tensor) -> Tensor:
-        return particles if whiten else runs.whiten(particles)
+        return particles if inference.whiten else runs.whiten(particles)
 
-    state = init(latent if whiten else runs.unwhiten(latent), inference)
-    for iteration in range(inference.iterations):
+    state = init(latent if inference.whiten else runs.unwhiten(latent), inference)
+    begin = time.perf_counter()
+    while state.iteration < inference.iterations:
+        if until < math.inf and state.iteration >= _TIMED:
+            now = time.perf_counter()
+            room = int((until - now) * state.iteration / (now - begin))
+            if room < 1:
+                break
+            if state.iteration + room < inference.iterations:
+                inference = replace(inference, iterations=state.iteration + room)
         particles = state.particles
-        weights = runs.unwhiten(particles) if whiten else particles
-        progress = iteration / max(inference.iterations - 1, 1)
-        gradient = target.gradient(runs.trajectories(weights), progress)
-        pulled = runs.pull_back(gradient)
-        if whiten:
-            prior_score, score = -particles, -runs.whiten_gradient(pulled)
-        else:
-            prior_score, score = runs.score(particles), -pulled
-        state = step(state, prior_score, score, inference, validate=False)
-        if not whiten:
-            # Raw weights leave what conditioning made certain, the start above all.
-            state = state._replace(particles=runs.project(state.particles))
+        state = iterate(runs, state, target, inference)
         if ask:
             before, after = whitened(particles), whitened(state.particles)
             movement = float((after - before).square().mean(-1).sqrt().mean())

@@ -12,10 +12,11 @@ from rich.table import Table
 from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.benchmark.timing import median_time
-from smp_planner.collision.costs import CUTOFF_WIDTHS, CollisionCost, SelfCollisionCost
+from smp_planner.collision.autograd import by_autograd, map_collision
+from smp_planner.collision.costs import CollisionCost, SelfCollisionCost, ValueAndGradient
 from smp_planner.collision.robot_model import RobotModel, jaco_model
 from smp_planner.collision.verification import check_collisions
-from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
+from smp_planner.occupancy.grid import bake_analytic
 
 __all__ = ["autograd_collision", "cost_table", "make_scene", "make_trajectories"]
 
@@ -45,32 +46,14 @@ def make_trajectories(
 
 
 def autograd_collision(
-    robot: RobotModel,
-    grid: DistanceGrid,
+    cost: CollisionCost,
     trajectories: NDArray[np.float64],
     edge_width: float,
     dtype: torch.dtype,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return value and gradient as `CollisionCost`, up to its scale, by tensors and autograd."""
-    q = torch.as_tensor(trajectories, dtype=dtype).requires_grad_()
-    moving = robot.link > 0
-    centers = robot.sphere_centers(q)[:, :, moving]
-    values = torch.as_tensor(grid.values, dtype=dtype)
-    extent = grid.spacing * (torch.tensor(values.shape, dtype=dtype) - 1)
-    unit = 2 * (centers - torch.as_tensor(grid.origin, dtype=dtype)) / extent - 1
-    distance = torch.nn.functional.grid_sample(
-        values[None, None],
-        unit.flip(-1).reshape(1, 1, 1, -1, 3),
-        padding_mode="border",
-        align_corners=True,
-    ).reshape(centers.shape[:-1])
-    radius = torch.as_tensor(robot.radius[moving], dtype=dtype) + SPHERE_MARGIN
-    reach = (radius + CUTOFF_WIDTHS * edge_width).clamp(max=float(grid.values.max()))
-    floor = torch.sigmoid((radius - reach) / edge_width) ** 2
-    excess = (torch.sigmoid((radius - distance) / edge_width) ** 2 - floor).clamp(min=0.0)
-    value = excess.sum(dim=(1, 2))
-    (gradient,) = torch.autograd.grad(value.sum(), q)
-    return value, gradient
+) -> ValueAndGradient:
+    """Return value and gradient of a `CollisionCost` by tensors and autograd."""
+    function = partial(map_collision, cost, edge_width=edge_width, margin=SPHERE_MARGIN)
+    return by_autograd(function, torch.as_tensor(trajectories, dtype=dtype))
 
 
 def cost_table(
@@ -98,13 +81,13 @@ def cost_table(
     rows: list[tuple[str, float, float | None]] = []
     for edge_width in (0.05, 0.01):
         name = f"obstacles, edge {100 * edge_width:.0f} cm"
-        oracle = partial(autograd_collision, robot, grid, q, edge_width)
+        oracle = partial(autograd_collision, collision, q, edge_width)
         slow = median_time(partial(oracle, torch.float64), repeats)
         single = median_time(partial(oracle, torch.float32), repeats)
         fast = median_time(partial(collision, q, edge_width, SPHERE_MARGIN), repeats)
         rows.append((f"{name}: autograd, float64", slow, slow))
         rows.append((f"{name}: autograd, float32", single, slow))
-        rows.append((f"{name}: compiled, float64", fast, slow))
+        rows.append((f"{name}: compiled, float32", fast, slow))
     rows.append(("the arm itself: compiled", median_time(partial(own, q), repeats), None))
     check = median_time(partial(check_collisions, finished, robot, scene), repeats)
     rows.append((f"exact check, {particles} x {check_steps}", check, None))

@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.arrays import FloatArray
 from smp_planner.collision import kernels as compiled
-from smp_planner.collision.robot_model import RobotModel
+from smp_planner.collision.robot_model import RobotModel, SingleArrays
 from smp_planner.occupancy.grid import DistanceGrid
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "REFERENCE_STEPS",
     "VELOCITY_FRACTION",
     "CollisionCost",
+    "CompiledCost",
     "Cost",
     "JointLimitCost",
     "SelfCollisionCost",
@@ -62,6 +63,33 @@ class Cost(Protocol):
         ...
 
 
+@runtime_checkable
+class CompiledCost(Cost, Protocol):
+    """A cost that adds itself to what there is, with no check and without the interpreter's lock.
+
+    Parts of a set may be given to several threads at once.
+    """
+
+    def add(
+        self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
+    ) -> None:
+        """Add the weighted cost.
+
+        Args:
+            trajectories: (P,T,n) rad, finite, contiguous.
+            weight: factor.
+            value: (P,), added to.
+            gradient: (P,T,n), contiguous, added to.
+        """
+        ...
+
+
+def _evaluated(cost: CompiledCost, trajectories: FloatArray) -> ValueAndGradient:
+    value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
+    cost.add(trajectories, 1.0, value, gradient)
+    return value, gradient
+
+
 def check_trajectories(trajectories: ArrayLike, joints: int | None = None) -> FloatArray:
     """Return trajectories as a contiguous float64 array (P,T,n).
 
@@ -79,11 +107,6 @@ def check_trajectories(trajectories: ArrayLike, joints: int | None = None) -> Fl
             f"joint {j}"
         )
     return array
-
-
-def _steps_last(trajectories: FloatArray) -> FloatArray:
-    """Return (P,n,T), the order of `smp_planner.collision.kernels`."""
-    return np.ascontiguousarray(trajectories.swapaxes(1, 2))
 
 
 def _positive(name: str, value: float) -> float:
@@ -104,18 +127,26 @@ class CollisionCost:
     Attributes:
         robot: the arm and what it carries; spheres on link 0 do not move and are left out.
         grid: the scene's map.
+        scale: factor of the sum.
     """
 
     robot: RobotModel
     grid: DistanceGrid
+    scale: float = 1.0
+
+    @cached_property
+    def _map(self) -> tuple[NDArray[np.float32], NDArray[np.float32], np.float32, NDArray[Any]]:
+        grid = self.grid
+        blocks = compiled.least_of_blocks(grid.values)
+        return grid.values, grid.origin.astype(np.float32), np.float32(1.0 / grid.spacing), blocks
+
+    @cached_property
+    def _robot(self) -> SingleArrays:
+        return self.robot.single()
 
     @cached_property
     def _truncation(self) -> float:
         return float(self.grid.values.max())
-
-    @cached_property
-    def _blocks(self) -> NDArray[np.float32]:
-        return compiled.least_of_blocks(self.grid.values)
 
     @property
     def summed_spheres(self) -> int:
@@ -139,28 +170,53 @@ class CollisionCost:
         width = _positive("edge_width", edge_width)
         if not math.isfinite(margin):
             raise ValueError(f"margin must be finite, got {margin}")
-        robot, grid = self.robot, self.grid
-        limit = np.minimum(robot.radius + margin + CUTOFF_WIDTHS * width, self._truncation)
-        value, gradient = np.empty(len(q)), np.empty((len(q), robot.joints, q.shape[1]))
+        value, gradient = np.zeros(len(q)), np.zeros(q.shape)
+        self.add_stretch(
+            q, 0, q.shape[1], width, float(margin), steps_scale(q.shape[1]), value, gradient
+        )
+        return value, gradient
+
+    def add_stretch(
+        self,
+        trajectories: FloatArray,
+        first: int,
+        last: int,
+        edge_width: float,
+        margin: float,
+        weight: float,
+        value: FloatArray,
+        gradient: FloatArray,
+    ) -> None:
+        """Add the weighted cost of a stretch; see `CompiledCost.add`.
+
+        The sum over its steps is not scaled to `REFERENCE_STEPS`.
+
+        Args:
+            trajectories: (P,T,n) rad, finite, contiguous.
+            first: first step of the stretch.
+            last: step after its last one.
+            edge_width: as of a call, like `margin`.
+            margin: see there.
+            weight: factor.
+            value: (P,), added to.
+            gradient: (P,T,n), contiguous, added to.
+        """
+        robot = self._robot
+        reach = np.float32(margin + CUTOFF_WIDTHS * edge_width)
+        limit = np.minimum(robot.radius + reach, np.float32(self._truncation))
         compiled.map_collision(
-            _steps_last(q),
-            robot.base,
-            robot.joint_origins,
-            robot.link,
-            robot.center,
-            robot.radius,
-            grid.values,
-            grid.origin,
-            1.0 / grid.spacing,
-            self._blocks,
+            trajectories,
+            first,
+            last,
+            robot,
+            self._map,
             limit,
-            width,
-            float(margin),
+            edge_width,
+            margin,
+            self.scale * weight,
             value,
             gradient,
         )
-        scale = steps_scale(q.shape[1])
-        return scale * value, scale * np.ascontiguousarray(gradient.swapaxes(1, 2))
 
 
 @dataclass(frozen=True)
@@ -189,31 +245,28 @@ class SelfCollisionCost:
                 f"edge widths), got {self.margin}"
             )
 
+    @cached_property
+    def _robot(self) -> SingleArrays:
+        return self.robot.single(self.margin + CUTOFF_WIDTHS * self.edge_width)
+
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        q = check_trajectories(trajectories, self.robot.joints)
-        robot, pairs = self.robot, self.robot.link_pairs
-        value, gradient = np.empty(len(q)), np.empty((len(q), robot.joints, q.shape[1]))
+        return _evaluated(self, check_trajectories(trajectories, self.robot.joints))
+
+    def add(
+        self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
+    ) -> None:
+        """Add the weighted cost; see `CompiledCost.add`."""
         compiled.self_collision(
-            _steps_last(q),
-            robot.base,
-            robot.joint_origins,
-            robot.link,
-            robot.center,
-            robot.radius,
-            pairs.groups,
-            pairs.sizes,
-            pairs.pairs,
-            pairs.ball_center,
-            pairs.ball_radius,
+            trajectories,
+            self._robot,
             self.margin + CUTOFF_WIDTHS * self.edge_width,
             self.edge_width,
             self.margin,
+            weight * steps_scale(trajectories.shape[1]),
             value,
             gradient,
         )
-        scale = steps_scale(q.shape[1])
-        return scale * value, scale * np.ascontiguousarray(gradient.swapaxes(1, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,10 +298,15 @@ class JointLimitCost:
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        q = check_trajectories(trajectories, len(self.lower))
-        excess = q - np.clip(q, self.lower + self.margin, self.upper - self.margin)
-        scale = steps_scale(q.shape[1])
-        return scale * np.square(excess).sum(axis=(1, 2)), 2.0 * scale * excess
+        return _evaluated(self, check_trajectories(trajectories, len(self.lower)))
+
+    def add(
+        self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
+    ) -> None:
+        """Add the weighted cost; see `CompiledCost.add`."""
+        lower, upper = self.lower + self.margin, self.upper - self.margin
+        scale = weight * steps_scale(trajectories.shape[1])
+        compiled.joint_limits(trajectories, lower, upper, scale, value, gradient)
 
 
 def _velocities(velocity: ArrayLike) -> FloatArray:
@@ -256,21 +314,6 @@ def _velocities(velocity: ArrayLike) -> FloatArray:
     if array.ndim != 1 or not (np.isfinite(array) & (array > 0.0)).all():
         raise ValueError(f"velocity must be (n,) positive numbers, got {velocity!r}")
     return array
-
-
-def _differences(trajectories: ArrayLike, joints: int) -> FloatArray:
-    q = check_trajectories(trajectories, joints)
-    if q.shape[1] < 2:
-        raise ValueError(f"trajectories must have at least 2 steps, got {q.shape[1]}")
-    return np.diff(q, axis=1)
-
-
-def _from_differences(parts: FloatArray) -> FloatArray:
-    """Return the gradient (P,T,n) that derivatives (P,T-1,n) by differences of steps amount to."""
-    gradient = np.zeros((parts.shape[0], parts.shape[1] + 1, parts.shape[2]))
-    gradient[:, 1:] += parts
-    gradient[:, :-1] -= parts
-    return gradient
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,10 +341,16 @@ class VelocityLimitCost:
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        steps = _differences(trajectories, len(self.velocity))
-        per_step = steps.shape[1] / (self.duration * self.fraction * self.velocity)
-        share = steps * per_step
-        excess = share - np.clip(share, -1.0, 1.0)
-        scale = REFERENCE_STEPS / steps.shape[1]
-        gradient = _from_differences(2.0 * scale * excess * per_step)
-        return scale * np.square(excess).sum(axis=(1, 2)), gradient
+        q = check_trajectories(trajectories, len(self.velocity))
+        if q.shape[1] < 2:
+            raise ValueError(f"trajectories must have at least 2 steps, got {q.shape[1]}")
+        return _evaluated(self, q)
+
+    def add(
+        self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
+    ) -> None:
+        """Add the weighted cost; see `CompiledCost.add`."""
+        segments = trajectories.shape[1] - 1
+        per_step = segments / (self.duration * self.fraction * self.velocity)
+        scale = weight * REFERENCE_STEPS / segments
+        compiled.velocity_limits(trajectories, per_step, scale, value, gradient)

@@ -15,7 +15,17 @@ from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.robot import forward_kernels, kinematics
 from smp_gym.robot.kinematics import SphereSet
 
-__all__ = ["LinkPairs", "RobotArrays", "RobotModel", "jaco_model", "jaco_of_spheres"]
+__all__ = [
+    "LinkPairs",
+    "RobotArrays",
+    "RobotModel",
+    "SingleArrays",
+    "jaco_model",
+    "jaco_of_spheres",
+]
+
+
+_STEPS_OF_A_TURN = 256
 
 
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
@@ -76,6 +86,37 @@ class RobotArrays(NamedTuple):
     pairs: IntArray
     ball_center: FloatArray
     ball_radius: FloatArray
+
+
+class SingleArrays(NamedTuple):
+    """Arrays of a robot in single precision, for the compiled loops of the costs.
+
+    Attributes:
+        base: (4,4), as in `RobotArrays`, like the next four.
+        origins: (n,4,4).
+        link: (S,).
+        center: (S,3) m.
+        radius: (S,) m.
+        ball_center: (n+1,3) m.
+        ball_radius: (n+1,) m.
+        groups: (G,6) first link, second link, the range of their `pairs`, the range of their
+            spheres in `of_groups`.
+        pairs: (M,4) indices of two spheres among all, and among those of their group.
+        of_groups: (R,) the spheres of each group that are in one of its pairs.
+        most_spheres: of one group.
+    """
+
+    base: NDArray[np.float32]
+    origins: NDArray[np.float32]
+    link: IntArray
+    center: NDArray[np.float32]
+    radius: NDArray[np.float32]
+    ball_center: NDArray[np.float32]
+    ball_radius: NDArray[np.float32]
+    groups: IntArray
+    pairs: IntArray
+    of_groups: IntArray
+    most_spheres: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +259,76 @@ class RobotModel:
             pairs.pairs,
             pairs.ball_center,
             pairs.ball_radius,
+        )
+
+    @cached_property
+    def least_gaps(self) -> FloatArray:
+        """(M,) m, in the order of `link_pairs.pairs`: no posture brings the spheres nearer.
+
+        Minus infinity where that is not known: where more than two joints are between the links.
+        The last joint before the outer sphere takes it round a circle, whose distance from a point
+        is known; over the angle of a joint before that the least is found by steps, less what the
+        inner sphere can come nearer between two of them.
+        """
+        pairs = self.link_pairs.pairs
+        between = np.diff(self.link[pairs], axis=1)[:, 0]
+        gaps = np.full(len(pairs), -np.inf)
+        angle = np.arange(_STEPS_OF_A_TURN) * (2.0 * np.pi / _STEPS_OF_A_TURN)
+        zero = np.zeros_like(angle)
+        turned = np.stack([np.cos(angle), np.sin(angle), zero, -np.sin(angle), np.cos(angle), zero])
+        turned = np.stack([*turned, zero, zero, zero + 1.0]).T.reshape(-1, 3, 3)
+        for g in np.flatnonzero((between == 1) | (between == 2)):
+            inner, outer = pairs[g]
+            first = self.joint_origins[self.link[inner]]
+            # The inner sphere in the frame of the next joint, on which that turns backwards.
+            point = (self.center[inner] - first[:3, 3]) @ first[:3, :3]
+            nearer = 0.0
+            if between[g] == 2:
+                second = self.joint_origins[self.link[inner] + 1]
+                nearer = math.hypot(point[0], point[1]) * np.pi / _STEPS_OF_A_TURN
+                point = (turned @ point - second[:3, 3]) @ second[:3, :3]
+            x, y, z = self.center[outer]
+            away = np.hypot(
+                np.hypot(point[..., 0], point[..., 1]) - math.hypot(x, y), point[..., 2] - z
+            )
+            gaps[g] = float(away.min()) - nearer - self.radius[inner] - self.radius[outer]
+        return gaps
+
+    def single(self, reach: float = -np.inf) -> SingleArrays:
+        """Return arrays for the compiled loops of the costs.
+
+        Args:
+            reach: m, gap from which on a pair of spheres does not matter; pairs that are never
+                nearer are left out. By default, all.
+        """
+        found = self.link_pairs
+        kept = self.least_gaps < reach if reach > -np.inf else np.zeros(len(found.pairs), np.bool_)
+        spheres: list[IntArray] = []
+        groups, pairs = [], [np.empty((0, 4), np.int64)]
+        first_pair = first_sphere = 0
+        for (i, j, begin), size in zip(found.groups, found.sizes, strict=True):
+            stretch = slice(begin, begin + size)
+            of_group = found.pairs[stretch][kept[stretch]]
+            if not len(of_group):
+                continue
+            own, place = np.unique(of_group, return_inverse=True)
+            pairs.append(np.hstack([of_group, place.reshape(-1, 2)]))
+            spheres.append(own)
+            last_pair, last_sphere = first_pair + len(of_group), first_sphere + len(own)
+            groups.append((i, j, first_pair, last_pair, first_sphere, last_sphere))
+            first_pair, first_sphere = last_pair, last_sphere
+        return SingleArrays(
+            self.base.astype(np.float32),
+            self.joint_origins.astype(np.float32),
+            self.link,
+            self.center.astype(np.float32),
+            self.radius.astype(np.float32),
+            found.ball_center.astype(np.float32),
+            found.ball_radius.astype(np.float32),
+            np.array(groups, np.int64).reshape(-1, 6),
+            np.ascontiguousarray(np.concatenate(pairs)),
+            np.concatenate([np.empty(0, np.int64), *spheres]),
+            max((len(own) for own in spheres), default=0),
         )
 
     def carried(self, point: Any) -> FloatArray:

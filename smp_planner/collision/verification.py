@@ -45,8 +45,9 @@ CLEARANCE_TOLERANCE = 1e-3
 DURATION_LIMIT = 15.0
 """Seconds within which an executable trajectory is finished."""
 
-# Distances of farther pairs of spheres of the arm are not told apart, m.
-_SELF_HORIZON = 0.05
+SELF_HORIZON = 0.05
+"""Distance, m, from which on pairs of spheres of the arm are not told apart."""
+
 # Halvings of one segment: enough for a segment of a kilometre at a tolerance of a millimetre.
 _MOST_HALVINGS = 22
 # Arrays of `lookup`, and the steepness of the distance, where there is no grid.
@@ -102,7 +103,7 @@ class Verification:
 @kernel(fastmath=FAST)
 def self_gap_of(placed, balls, step, robot):
     """Return the least gap, m, between spheres of `robot.pairs` at a step; at most the horizon."""
-    least = _SELF_HORIZON
+    least = SELF_HORIZON
     groups, sizes, pairs = robot.groups, robot.sizes, robot.pairs
     radius, ball_radius = robot.radius, robot.ball_radius
     for g in range(groups.shape[0]):

@@ -27,19 +27,26 @@ from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = ["COLUMNS", "COMPARED_SETTINGS", "PRIOR_WIDTHS", "Cell", "cells_of", "measure_cell"]
 
+
+def _of(inference: str, iterations: int = 100) -> dict[str, Any]:
+    return {"inference": inference, "iterations": iterations, "step_size": None}
+
+
 COMPARED_SETTINGS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "paper": {"inference": "paper"},
-    "paper, 4 times the iterations": {"inference": "paper", "iterations": 400},
-    "raw weights": {"inference": "raw"},
-    "med²/log m": {"inference": "median_over_log"},
-    "inverse multi-quadric": {"inference": "imq"},
-    "path kernel": {"inference": "path_kernel"},
-    "no annealing": {"inference": "no_annealing"},
-    "cyclic annealing": {"inference": "cyclic"},
-    "no repulsion": {"inference": "no_repulsion"},
+    "quick": {},
+    "default": _of("default"),
+    "paper": _of("paper"),
+    "paper, 4 times the iterations": _of("paper", 400),
+    "raw weights": _of("raw"),
+    "med²/log m": _of("median_over_log"),
+    "inverse multi-quadric": _of("imq"),
+    "path kernel": _of("path_kernel"),
+    "no annealing": _of("no_annealing"),
+    "cyclic annealing": _of("cyclic"),
+    "no repulsion": _of("no_repulsion"),
 }
-"""Compared variants, by the name in the table; settings of `smp` on top of the task's own.
+"""Compared variants, by the name in the table; settings of `smp` on top of the task's own, which
+are "quick". All others change one thing of "default", and have its iterations.
 
 Without repulsion each particle ascends its own gradient: independent restarts."""
 

@@ -177,7 +177,7 @@ def face_offsets(
     )
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, error_model="numpy")
 def _tanh(x):  # type: ignore[no-untyped-def]
     # The fraction is good to 5e-5 up to 4.5; applied to x / 2 and doubled by the addition theorem
     # this becomes 1e-7, and unlike the library's tanh it runs on whole vectors.
@@ -188,7 +188,7 @@ def _tanh(x):  # type: ignore[no-untyped-def]
     return _TWO * n * d / (n * n + d * d)
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, error_model="numpy")
 def _forward(inputs, count, w1, b1, w2, b2, w3, b3):  # type: ignore[no-untyped-def]
     """Return the (count,) float32 outputs of one network for inputs (3, >= count) float32."""
     hidden = len(b1)

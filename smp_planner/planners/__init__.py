@@ -4,9 +4,9 @@
 checkpoints of a stroke hold the pen all along, so a path round an obstacle is short and sharp: it
 needs a wider prior, and obstacles that outweigh what holds it. A push holds the middle of the
 trajectory, so what comes before and after it is short and must bend more sharply, too; fewer
-iterations are enough then. On both, `smp` has a prior of a shorter length scale over a finer basis
-than the paper's 15 functions; the baselines, whose draws keep the spread of the prior wherever it
-is not needed, have not.
+iterations, of longer steps, are enough then. On both, `smp` has a prior of a shorter length scale
+over a finer basis than the paper's 15 functions; the baselines, whose draws keep the spread of the
+prior wherever it is not needed, have not.
 
 Where only the mean of a Gaussian gives way, draws around it that keep the prior's spread need room:
 on every task (`"*"`), `prompt_o` has a larger weight of obstacles, and `promp_diff` a larger margin

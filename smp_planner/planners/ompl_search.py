@@ -25,7 +25,7 @@ from smp_planner.planners.rrt_connect.tree_search import search_box
 
 __all__ = ["OMPLPlanner", "OMPLSettings", "ompl_is_installed", "ompl_path"]
 
-Algorithm = Literal["BITstar", "RRTstar"]
+Algorithm = Literal["BITstar", "RRTConnect", "RRTstar"]
 
 
 class OMPLSettings(SearchSettings):
@@ -34,7 +34,7 @@ class OMPLSettings(SearchSettings):
     Attributes:
         algorithm: name of the planner's class in OMPL.
         seconds: for which one search lasts at most, by the clock.
-        step: rad, longest edge; of RRT* only.
+        step: rad, longest edge; of RRT* and RRT-Connect only.
     """
 
     particles: int = Field(default=1, ge=1)
@@ -123,7 +123,7 @@ def ompl_path(
     objective.setCostThreshold(base.Cost(np.inf))
     definition.setOptimizationObjective(objective)
     planner = getattr(geometric, algorithm)(information)
-    if algorithm == "RRTstar":
+    if algorithm != "BITstar":
         planner.setRange(step)
     planner.setProblemDefinition(definition)
     planner.setup()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, create_model
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.adaptation import ADAPTATIONS, Adaptation
+from smp_planner.batch.planning import DevicePlanner
+from smp_planner.planning.own_costs import OwnCosts, checked_own_costs
 from smp_planner.planning.pipeline import one_thread, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior, learn_prior
@@ -58,9 +61,9 @@ class PrimitivePlanner:
             return {name: settings[name] for name in model.model_fields if name in settings}
 
         self.plan_settings = PlanSettings.model_validate(given(PlanSettings))
-        self.adaptation = Adaptation(
-            type(kind.settings).model_validate(given(type(kind.settings))), kind.adapt
-        )
+        own = type(kind.settings)
+        self.adaptation: Adaptation = replace(kind, settings=own.model_validate(given(own)))
+        self._devices: dict[str, DevicePlanner] = {}
         with one_thread():
             self.prior: Prior = learn_prior(
                 list(np.array(demonstrations.configurations)),
@@ -76,10 +79,49 @@ class PrimitivePlanner:
             **self.adaptation.settings.model_dump(mode="json"),
         }
 
-    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
-        """Return one plan for each problem; the same problem gives the same plan.
+    def plan(
+        self,
+        problems: Sequence[Problem],
+        device: str | None = None,
+        *,
+        own: OwnCosts | None = None,
+        deadline: float | None = None,
+        threads: int | None = None,
+    ) -> list[Plan]:
+        """Return one plan for each problem; without a deadline, the same problem gives the same.
+
+        On a device all problems are planned at once, in float32 and with the exact distance to
+        obstacles in place of a map. So numbers differ from those without a device, and a little
+        from batch to batch. "cpu" is the reference of "cuda": without a device it goes faster.
+
+        Args:
+            problems: to be solved; on a device, at least one, all of one robot and one task.
+            device: "cuda", "cuda:1", …, or "cpu"; None plans problem by problem on the processor.
+            own: costs of one's own by name, each a weight and a function in torch; see `OwnCost`.
+            deadline: s, and `threads`: see `smp_planner.planning.pipeline.plan_problems`.
+            threads: that share the particles, without a device.
 
         Raises:
             UnreachableError: a goal is out of reach.
+            ValueError: there is no such device, or it cannot plan these problems together or with
+                this method; a cost of one's own is none, or clashes with another's name;
+                `deadline` is not a positive number, or the method or device keeps none; or
+                `threads` is not a positive integer.
         """
-        return plan_problems(problems, self.prior, self.adaptation, self.plan_settings)
+        costs = checked_own_costs(own)
+        if costs and self.adaptation.adapt is None:
+            raise ValueError("own must be empty where nothing is adapted, as by 'promp'")
+        found = None
+        if device is not None:
+            found = self._devices.get(device) or DevicePlanner.of(device)
+            self._devices[device] = found
+        return plan_problems(
+            problems,
+            self.prior,
+            self.adaptation,
+            self.plan_settings,
+            own=costs,
+            device=found,
+            deadline=deadline,
+            threads=threads,
+        )

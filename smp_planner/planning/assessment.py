@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,10 +17,17 @@ from smp_planner.planning.constraints import Reaching
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
-from smp_planner.planning.ranking import rank
+from smp_planner.planning.ranking import demanded_and_merit, rank
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["Verdict", "assess", "free_waypoints", "make_plan", "signatures"]
+__all__ = [
+    "Verdict",
+    "assess",
+    "constraints_met",
+    "free_waypoints",
+    "make_plan",
+    "signatures",
+]
 
 _ASIDE = np.array([1.1e-6, 0.7e-6, 0.0])
 """Shift, m, of the middles of obstacles for signatures: in a scene made by hand, a
@@ -54,14 +63,22 @@ class Verdict(NamedTuple):
         return self.free & self.executable & self.passing
 
 
-def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> Verdict:
-    """Check trajectories (P, T, D): collisions stage by stage, limits, and constraints.
+class _Limits(NamedTuple):
+    """What is cheap to tell of P trajectories, all but collisions; see `Verdict` for the fields."""
 
-    Args:
-        problem: to be solved.
-        trajectories: (P, T, D).
-        settings: limit of the duration, and what may be missed.
-    """
+    executable: BoolArray
+    duration: FloatArray
+    missed: dict[str, FloatArray]
+    passing: BoolArray
+
+
+def _limits(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> _Limits:
+    executable, duration = problem.body.execution(trajectories, settings.duration_limit)
+    return _Limits(executable, duration, *constraints_met(problem, trajectories, settings))
+
+
+def _collisions(problem: Problem, trajectories: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Return whether trajectories (P, T, D) are free, (P,), and their clearance (P,)."""
     count = len(trajectories)
     free, clearance = np.ones(count, np.bool_), np.full(count, np.inf)
     body, whole = problem.body, False
@@ -73,14 +90,133 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
     if not whole:
         # With all that it carries in the end, the body must stay clear of itself, too.
         free = free & body.check(trajectories, ()).free
-    executable, duration = body.execution(trajectories, settings.duration_limit)
-    missed, passing = {}, np.ones(count, np.bool_)
+    return free, clearance
+
+
+def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> Verdict:
+    """Check trajectories (P, T, D): collisions stage by stage, limits, and constraints.
+
+    Args:
+        problem: to be solved.
+        trajectories: (P, T, D).
+        settings: limit of the duration, and what may be missed.
+    """
+    free, clearance = _collisions(problem, trajectories)
+    limits = _limits(problem, trajectories, settings)
+    return Verdict(free, clearance, *limits)
+
+
+class _BestFirst:
+    """Checks of collisions in the order of preference, until the best particle is certain.
+
+    A particle that is not checked yet is at best free with a safe clearance, which gives a bound on
+    its place in `rank`. Particles are checked by that bound, the highest first, until one that is
+    checked is above the bounds of all others: it is the first of `rank`.
+
+    Args:
+        problem: to be solved.
+        trajectories: (P, T, D).
+        costs: as of `rank`.
+        limits: what else there is to tell.
+        until: time of `time.perf_counter` from which on nothing more is checked, but for the first.
+        known: whether particles are free and how clear, if they are checked already.
+
+    Attributes:
+        chosen: see `Checks`.
+        solved: see there.
+        ended_early: whether the time was over before the best one was certain.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        trajectories: FloatArray,
+        costs: Mapping[str, FloatArray],
+        limits: _Limits,
+        until: float = math.inf,
+        known: tuple[BoolArray, FloatArray] | None = None,
+    ) -> None:
+        self._problem, self._trajectories, self._costs = problem, trajectories, costs
+        self._limits = limits
+        count = len(trajectories)
+        self._checked = np.full(count, known is not None)
+        self._free, self._clearance = np.zeros(count, np.bool_), np.full(count, np.nan)
+        if known is not None:
+            self._free, self._clearance = known
+        bounds = self._keys(np.ones(count, np.bool_), np.full(count, np.inf))
+        order = sorted(range(count), key=bounds.__getitem__, reverse=True)
+        best = None
+        self.ended_early = False
+        for index in order:
+            if best is not None and best >= bounds[index]:
+                break
+            if best is not None and time.perf_counter() > until:
+                self.ended_early = True
+                break
+            if not self._checked[index]:
+                self._check(np.array([index]))
+            key = self._keys(self._free, self._clearance)[index]
+            best = key if best is None else max(best, key)
+        assert best is not None
+        self.chosen = best[2]
+        self.solved = bool(
+            self._free[self.chosen] & limits.executable[self.chosen] & limits.passing[self.chosen]
+        )
+
+    def _keys(self, free: BoolArray, clearance: FloatArray) -> list[tuple[float, float, int]]:
+        """Return the order of `rank`, the greatest first, if particles were free and as clear."""
+        limits = self._limits
+        demanded, merit = demanded_and_merit(
+            free, limits.passing, limits.executable, clearance, limits.missed, self._costs
+        )
+        return list(zip(demanded.tolist(), merit.tolist(), range(len(free)), strict=True))
+
+    def _check(self, indices: IntArray) -> None:
+        free, clearance = _collisions(self._problem, self._trajectories[indices])
+        self._free[indices], self._clearance[indices] = free, clearance
+        self._checked[indices] = True
+
+    @property
+    def count(self) -> int:
+        """How many particles have been checked."""
+        return int(self._checked.sum())
+
+    def complete(self) -> dict[str, Any]:
+        """Return the open fields of a `Plan`; see `Checks.complete`."""
+        rest = np.flatnonzero(~self._checked)
+        if len(rest):
+            self._check(rest)
+        limits = self._limits
+        ranks = rank(
+            self._free,
+            limits.passing,
+            limits.executable,
+            self._clearance,
+            limits.missed,
+            self._costs,
+        )
+        # A deadline may have ended the search for the best one before it was found.
+        ranks[ranks < ranks[self.chosen]] += 1
+        ranks[self.chosen] = 0
+        return {
+            "collision_free": self._free,
+            "clearance": self._clearance,
+            "ranks": ranks,
+            "signatures": signatures(self._problem, self._trajectories),
+        }
+
+
+def constraints_met(
+    problem: Problem, trajectories: FloatArray, settings: PlanSettings
+) -> tuple[dict[str, FloatArray], BoolArray]:
+    """Return by how much trajectories (P, T, D) miss constraints, and (P,) whether all are met."""
+    missed, passing = {}, np.ones(len(trajectories), np.bool_)
     for constraint in problem.constraints:
         value = constraint.missed(trajectories)
         passing &= value <= constraint.slack(settings)
         if constraint.cost(settings) is not None:
             missed[constraint.name] = np.maximum(value, 0.0)
-    return Verdict(free, clearance, executable, duration, missed, passing)
+    return missed, passing
 
 
 def make_plan(
@@ -92,8 +228,10 @@ def make_plan(
     weights: FloatArray | None = None,
     components: IntArray | None = None,
     reason: str = "no particle is good",
+    until: float = math.inf,
+    verdict: Verdict | None = None,
 ) -> Plan:
-    """Return the plan that trajectories amount to: checked and put in order.
+    """Return the plan that trajectories amount to: the best one is checked, the rest on demand.
 
     Args:
         problem: to be solved.
@@ -103,38 +241,40 @@ def make_plan(
         weights: (P, K, D) of the primitive, if there is one.
         components: (P,), see `Plan`.
         reason: what the plan's message begins with if no particle is good.
+        until: time of `time.perf_counter` from which on the best one of those checked so far is
+            taken.
+        verdict: of the check, if it is made already.
     """
-    verdict = assess(problem, trajectories, settings)
-    message = ""
-    if not verdict.good.any():
-        message = (
-            f"{reason}: of {len(trajectories)} particles {int(verdict.free.sum())} are "
-            f"collision-free, {int(verdict.executable.sum())} executable, "
-            f"{int(verdict.passing.sum())} meet all constraints; the least bad one is chosen"
-        )
-    ranks = rank(
-        verdict.free,
-        verdict.passing,
-        verdict.executable,
-        verdict.clearance,
-        verdict.missed,
-        costs,
-    )
-    return Plan(
+    if verdict is None:
+        limits = _limits(problem, trajectories, settings)
+        checks = _BestFirst(problem, trajectories, costs, limits, until)
+    else:
+        limits = _Limits(verdict.executable, verdict.duration, verdict.missed, verdict.passing)
+        known = verdict.free, verdict.clearance
+        checks = _BestFirst(problem, trajectories, costs, limits, known=known)
+    plan = Plan.pending(
+        checks,
         trajectories=trajectories,
         costs=costs,
-        collision_free=verdict.free,
-        clearance=verdict.clearance,
-        missed=verdict.missed,
-        passing=verdict.passing,
-        duration=verdict.duration,
-        executable=verdict.executable,
-        ranks=ranks,
-        signatures=signatures(problem, trajectories),
+        missed=limits.missed,
+        passing=limits.passing,
+        duration=limits.duration,
+        executable=limits.executable,
         weights=weights,
         components=components,
-        message=message,
     )
+    if checks.ended_early and not checks.solved:
+        plan.__dict__["message"] = (
+            f"{reason} of the {checks.count} that were checked before the deadline: the least bad "
+            "one of them is chosen"
+        )
+    elif not checks.solved:
+        plan.__dict__["message"] = (
+            f"{reason}: of {len(trajectories)} particles {int(plan.collision_free.sum())} are "
+            f"collision-free, {int(plan.executable.sum())} executable, "
+            f"{int(plan.passing.sum())} meet all constraints; the least bad one is chosen"
+        )
+    return plan
 
 
 def free_waypoints(problem: Problem, trajectories: FloatArray) -> BoolArray:

@@ -7,7 +7,7 @@ exact check, whether they are clear of obstacles. The pipeline knows nothing els
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import NamedTuple, Protocol
 
@@ -196,13 +196,7 @@ class RobotBody:
             return cost
         if not cost.summed_spheres:
             return None
-        scale = self.reference_spheres / cost.summed_spheres
-
-        def scaled(trajectories: FloatArray, edge_width: float, margin: float) -> ValueAndGradient:
-            value, gradient = cost(trajectories, edge_width, margin)
-            return scale * value, scale * gradient
-
-        return scaled
+        return replace(cost, scale=self.reference_spheres / cost.summed_spheres)
 
     def _meeting(self, obstacles: tuple[Obstacle, ...]) -> Workspace | None:
         """Return the box where the robot can meet obstacles; None if there is no such."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -32,9 +32,11 @@ __all__ = [
     "Place",
     "Poses",
     "Reaching",
+    "ToolBoxes",
     "ToolPath",
     "at_phases",
     "mixture_cost",
+    "segments",
     "spread_to_steps",
 ]
 
@@ -92,7 +94,7 @@ class Constraint(Protocol):
         ...
 
 
-def _segments(count: int, phases: ArrayLike) -> tuple[NDArray[np.int64], FloatArray]:
+def segments(count: int, phases: ArrayLike) -> tuple[NDArray[np.int64], FloatArray]:
     """Return the segments of `count` equal steps that phases (H,) lie on, and where on them."""
     at = np.atleast_1d(np.asarray(phases, np.float64)) * (count - 1)
     first = np.minimum(at.astype(np.int64), count - 2)
@@ -101,19 +103,41 @@ def _segments(count: int, phases: ArrayLike) -> tuple[NDArray[np.int64], FloatAr
 
 def at_phases(trajectories: FloatArray, phases: ArrayLike) -> FloatArray:
     """Return the points (P, H, D) of trajectories (P, T, D) at phases, straight between samples."""
-    first, share = _segments(trajectories.shape[1], phases)
+    first, share = segments(trajectories.shape[1], phases)
     share = share[:, None]
     return np.asarray((1.0 - share) * trajectories[:, first] + share * trajectories[:, first + 1])
 
 
 def spread_to_steps(gradient: FloatArray, phases: ArrayLike, steps: int) -> FloatArray:
     """Return the gradient (P, T, D) by the samples of one (P, H, D) by points at phases (H,)."""
-    first, share = _segments(steps, phases)
-    spread = np.zeros((gradient.shape[0], steps, gradient.shape[2]))
-    for h, (k, s) in enumerate(zip(first, share, strict=True)):
-        spread[:, k] += (1.0 - s) * gradient[:, h]
-        spread[:, k + 1] += s * gradient[:, h]
-    return spread
+    first, share = segments(steps, phases)
+    shares = np.zeros((steps, len(first)))
+    of_points = np.arange(len(first))
+    shares[first, of_points] = 1.0 - share
+    shares[first + 1, of_points] += share
+    return np.asarray(shares @ gradient)
+
+
+class ToolBoxes(NamedTuple):
+    """Boxes in which a point carried by the hand must be.
+
+    Attributes:
+        lower: (H, 3) m.
+        upper: (H, 3) m.
+        log_weight: (H,) as of `mixture_weights`, where they are options; 0 where each must be met.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    log_weight: FloatArray
+
+
+def mixture_weights(
+    variance: FloatArray, widths: FloatArray, shares: Sequence[float]
+) -> FloatArray:
+    """Return log(π_h / Z_h) (H,) of `mixture_cost`, Z_h relative to the least of them."""
+    volume = np.log(widths + np.sqrt(2.0 * math.pi * variance)).sum(axis=-1)
+    return np.asarray(np.log(np.asarray(shares)) - (volume - volume.min()))
 
 
 def mixture_cost(
@@ -136,8 +160,7 @@ def mixture_cost(
         (P,), and (H, P, d).
     """
     scaled = offsets / np.sqrt(variance)[:, None]
-    volume = np.log(widths + np.sqrt(2.0 * math.pi * variance)).sum(axis=-1)
-    joint = (np.log(np.asarray(shares)) - (volume - volume.min()))[:, None]
+    joint = mixture_weights(variance, widths, shares)[:, None]
     joint = joint - 0.5 * np.square(scaled).sum(axis=-1)
     largest = joint.max(axis=0)
     membership = np.exp(joint - largest)
@@ -328,22 +351,32 @@ class Reaching:
         """Return the distance (P,) m of the tool to the nearest region at the end."""
         return np.asarray(self.distances(trajectories).min(axis=0))
 
-    def cost(self, settings: PlanSettings) -> Cost:
-        """Return `mixture_cost` of the regions, for the tool at the end of the trajectory."""
+    def boxes(self, settings: PlanSettings) -> ToolBoxes:
+        """Return the regions as options of one mixture."""
         lower = np.stack([goal.lower for goal in self.goals])
         upper = np.stack([goal.upper for goal in self.goals])
         variance = np.full(lower.shape, settings.sigma**2)
+        return ToolBoxes(lower, upper, mixture_weights(variance, upper - lower, self.shares))
+
+    def cost(self, settings: PlanSettings) -> Cost:
+        """Return `mixture_cost` of the regions, for the tool at the end of the trajectory."""
+        lower, upper, _ = self.boxes(settings)
+        variance = np.full(lower.shape, settings.sigma**2)
+
+        own = np.stack([goal.point for goal in self.goals])
+        distinct, which = np.unique(own, axis=0, return_inverse=True)
 
         def cost(trajectories: ArrayLike) -> ValueAndGradient:
             paths = check_trajectories(trajectories, self.robot.joints)
             ends = np.ascontiguousarray(paths[:, -1])
-            carried = [self.robot.carried_points(ends, goal.point) for goal in self.goals]
-            points = np.stack([point for point, _ in carried])
+            carried = [self.robot.carried_points(ends, point) for point in distinct]
+            points = np.stack([carried[k][0] for k in which.ravel()])
             offsets = box_offset(points, lower[:, None], upper[:, None])
             value, slopes = mixture_cost(offsets, variance, upper - lower, self.shares)
             gradient = np.zeros(paths.shape)
-            jacobians = np.stack([jacobian for _, jacobian in carried])
-            gradient[:, -1] = np.einsum("hpi,hpij->pj", slopes, jacobians)
+            for k, (_, jacobians) in enumerate(carried):
+                pull = slopes[which.ravel() == k].sum(axis=0)
+                gradient[:, -1] += (pull[:, None] @ jacobians)[:, 0]
             return value, gradient
 
         return cost
@@ -399,27 +432,31 @@ class ToolPath:
         all choices of moments in that order, the one whose worst miss is least counts.
         """
         worst = np.zeros(trajectories.shape[:2])
+        before = None
         for via in self.via_points:
-            points = self.robot.carried_points(trajectories, via.point)[0]
+            if before is None or (via.point != before).any():
+                points = self.robot.carried_points(trajectories, via.point)[0]
+                before = via.point
             missed = np.linalg.norm(points - via.position, axis=-1) - via.tolerance
             worst = np.minimum.accumulate(np.maximum(worst, missed), axis=1)
         return np.asarray(worst.min(axis=1))
 
-    def cost(self, settings: PlanSettings) -> Cost:
-        """Return the sum of the boxes' costs, Eq. (14), for the tool when they are due.
-
-        A box reaches `PlanSettings.via_share` of the tolerance to each side.
-        """
+    def boxes(self, settings: PlanSettings) -> ToolBoxes:
+        """Return boxes that reach `PlanSettings.via_share` of the tolerance to each side."""
         places = np.array([via.position for via in self.via_points])
         half = settings.via_share * np.array([[via.tolerance] for via in self.via_points])
-        lower, upper = places - half, places + half
+        return ToolBoxes(places - half, places + half, np.zeros(len(places)))
+
+    def cost(self, settings: PlanSettings) -> Cost:
+        """Return the sum of the boxes' costs, Eq. (14), for the tool when they are due."""
+        lower, upper, _ = self.boxes(settings)
 
         def cost(trajectories: ArrayLike) -> ValueAndGradient:
             paths = check_trajectories(trajectories, self.robot.joints)
             due = at_phases(paths, self.phases)
             points, jacobians = self._carried(due)
             offset = box_offset(points, lower, upper) / settings.sigma
-            slopes = np.einsum("phi,phij->phj", offset / settings.sigma, jacobians)
+            slopes = ((offset / settings.sigma)[..., None, :] @ jacobians)[..., 0, :]
             value = 0.5 * np.square(offset).sum(axis=(1, 2))
             return value, spread_to_steps(slopes, self.phases, paths.shape[1])
 
@@ -427,6 +464,9 @@ class ToolPath:
 
     def _carried(self, due: FloatArray) -> ValueAndGradient:
         """Return the points (P, H, 3) that (P, H, n) rad carry, and their Jacobians."""
+        point = self.via_points[0].point
+        if all((via.point == point).all() for via in self.via_points):
+            return self.robot.carried_points(due, point)
         carried = [
             self.robot.carried_points(due[:, h], via.point) for h, via in enumerate(self.via_points)
         ]

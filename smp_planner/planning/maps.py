@@ -6,14 +6,15 @@ import numpy as np
 
 from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.scene import Obstacle
-from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, bake, bake_analytic
+from smp_planner.occupancy.analytic import AnalyticMap
+from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, bake
 from smp_planner.occupancy.neural import (
     INFLATION,
     PointNetworkMap,
     sample_labelled_points,
     train_map,
 )
-from smp_planner.occupancy.occupancy_map import OccupancyMap
+from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
 from smp_planner.planning.settings import PlanSettings
 
@@ -63,10 +64,8 @@ class SceneMaps:
 
     def _make(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid | None:
         settings = self._settings
-        if settings.map == "exact":
-            return bake_analytic(obstacles, workspace)
-        if settings.map == "shapes":
-            return bake(ShapeNetworkMap(obstacles, default_networks()), workspace)
+        if settings.map != "points":
+            return self._composed(obstacles, workspace)
         packed = PackedObstacles.of(obstacles)
         lower, upper = np.asarray(workspace[0]), np.asarray(workspace[1])
         around = packed.half_extents + INFLATION
@@ -85,6 +84,19 @@ class SceneMaps:
             seed=self._seed % 2**63,
         )
         return PointNetworkMap.of(network, workspace).grid
+
+    def _composed(self, obstacles: tuple[Obstacle, ...], workspace: Workspace) -> DistanceGrid:
+        """Return the minimum over obstacles, begun with a map of the most of them there is."""
+        known: tuple[Obstacle, ...] = ()
+        for made, around in self._made:
+            if around == workspace and len(made) > len(known) and set(made) <= set(obstacles):
+                known = made
+        rest = tuple(obstacle for obstacle in obstacles if obstacle not in known)
+        composed: OccupancyMap = AnalyticMap(rest, TRUNCATION)
+        if self._settings.map == "shapes":
+            composed = ShapeNetworkMap(rest, default_networks())
+        begun = self._made.get((known, workspace)) if known else None
+        return bake(composed, workspace) if begun is None else lowered(begun, composed)
 
 
 def lowered(grid: DistanceGrid, other: OccupancyMap) -> DistanceGrid:

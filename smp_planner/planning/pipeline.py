@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,16 +22,21 @@ from torch import Tensor
 
 from smp_gym.arrays import BoolArray
 from smp_gym.robot.kinematics import UnreachableError
-from smp_planner.adaptation import Adaptation, Runs
+from smp_planner.adaptation import Adaptation, Runs, SteinSettings
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.constraints import Constraint
+from smp_planner.planning.own_costs import OwnCost
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.planning.threads import Threads, default_threads
+
+if TYPE_CHECKING:
+    from smp_planner.batch.planning import DevicePlanner, Finished
 
 __all__ = [
     "Part",
@@ -39,6 +46,9 @@ __all__ = [
     "one_thread",
     "plan_problems",
 ]
+
+_RESERVED = 0.1
+"""Share of the time until a deadline that is kept for checking the best particle."""
 
 
 @contextmanager
@@ -187,50 +197,83 @@ def plan_problems(
     prior: Prior,
     adaptation: Adaptation,
     settings: PlanSettings,
+    *,
+    deadline: float | None = None,
+    threads: int | None = None,
+    own: Mapping[str, tuple[float, OwnCost]] = MappingProxyType({}),
+    device: DevicePlanner | None = None,
 ) -> list[Plan]:
-    """Return one plan for each problem; the same problem gives the same plan.
+    """Return one plan for each problem; without a deadline, the same problem gives the same plan.
 
     A problem without a good particle is tried again with twice the added deviation, as often as
     `PlanSettings.retries` says; of tries that all fail, the first, with the prior as learned, is
     taken. What is not adapted is not tried again.
+
+    With a deadline there are as many iterations as it leaves room for, no new try once it is over,
+    and the best of the particles that could be checked is chosen; if none of these is good, the
+    plan's message says so. A map is made whole, at least one particle of each problem is checked:
+    so much the plan may be late.
 
     Args:
         problems: to be solved.
         prior: learned from demonstrations.
         adaptation: how draws of the prior are carried to the problems.
         settings: map, costs and number of tries.
+        deadline: s from the call, for all problems together; none by default.
+        threads: that share the particles of a plan, `default_threads` by default; the plan does
+            not depend on it.
+        own: costs of one's own by name, each with its weight.
+        device: what adapts and checks all problems together; None does it problem by problem.
 
     Raises:
         UnreachableError: a goal is out of reach.
+        ValueError: `deadline` is not a positive number, or the adaptation or a device cannot keep
+            one; `threads` is not a positive integer; or the problems cannot be planned together on
+            a device.
     """
+    begin = time.perf_counter()
+    until = math.inf
+    if deadline is not None:
+        if not (math.isfinite(deadline) and deadline > 0.0):
+            raise ValueError(f"deadline must be a positive number of seconds, got {deadline}")
+        if adaptation.adapt is not None and not adaptation.timely:
+            raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
+        if device is not None:
+            raise ValueError(f"deadline must be None on a device, got {deadline}")
+        until = begin + deadline
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
-    with one_thread():
+    with Threads(default_threads() if threads is None else threads) as pool, one_thread():
         for number in range(tries):
+            if number > 0 and time.perf_counter() > until:
+                break
             open_ = [attempt for attempt in attempts if not attempt.done]
             for attempt in open_:
-                _draw(attempt, prior, adaptation, settings, 2.0**number)
+                if adaptation.adapt is not None and attempt.target is None and device is None:
+                    with attempt.stopwatch.stage("map"):
+                        attempt.target = SceneTarget(
+                            attempt.problem, settings, dict(own), threads=pool
+                        )
+                _draw(attempt, prior, settings, 2.0**number)
             open_ = [attempt for attempt in open_ if not attempt.done]
-            _adapt(open_, adaptation, settings)
-            for attempt in open_:
-                plan = _plan_of(attempt, prior, settings)
-                if attempt.best is None or plan.good.any():
+            if device is None:
+                _adapt(open_, adaptation, settings, until)
+                plans = [_plan_of(attempt, prior, settings, until) for attempt in open_]
+            else:
+                plans = _on_device(open_, prior, adaptation, settings, own, device)
+            for attempt, plan in zip(open_, plans, strict=True):
+                if attempt.best is None or plan.solved:
                     attempt.best = plan
-                attempt.done = bool(attempt.best.good.any())
-    plans = []
+                attempt.done = attempt.best.solved
+    chosen = []
     for attempt in attempts:
         assert attempt.best is not None
-        plans.append(replace(attempt.best, timings=attempt.stopwatch.timings))
-    return plans
+        chosen.append(attempt.best.timed(attempt.stopwatch.timings))
+    return chosen
 
 
-def _draw(
-    attempt: _Attempt, prior: Prior, adaptation: Adaptation, settings: PlanSettings, width: float
-) -> None:
-    """Make the target and draw the particles of one attempt."""
-    if adaptation.adapt is not None and attempt.target is None:
-        with attempt.stopwatch.stage("map"):
-            attempt.target = SceneTarget(attempt.problem, settings)
+def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float) -> None:
+    """Draw the particles of one attempt."""
     with attempt.stopwatch.stage("conditioning"):
         try:
             attempt.parts = conditioned_parts(prior, attempt.problem, settings, width)
@@ -241,7 +284,9 @@ def _draw(
             attempt.done = True
 
 
-def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings) -> None:
+def _adapt(
+    attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings, until: float
+) -> None:
     """Carry the particles of attempts to their targets, equal parts together."""
     if adaptation.adapt is None:
         return
@@ -251,7 +296,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
         for index, part in enumerate(attempt.parts):
             own = (len(groups),) if separate else ()
             groups.setdefault((*part.latent.shape, *own), []).append((attempt, index))
-    for group in groups.values():
+    for number, group in enumerate(groups.values()):
         begin = time.perf_counter()
         parts = [attempt.parts[index] for attempt, index in group]
         targets = [attempt.target for attempt, _ in group]
@@ -261,6 +306,11 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
             for (attempt, _), part in zip(group, parts, strict=True)
         ]
 
+        timely = {}
+        if until < math.inf:
+            # The groups that are left share the time that is left, but for what comes after.
+            left = (1.0 - _RESERVED) * (until - begin)
+            timely["until"] = begin + left / (len(groups) - number)
         latent = adaptation.adapt(
             runs,
             torch.stack([part.latent for part in parts]),
@@ -268,6 +318,7 @@ def _adapt(attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanS
             rngs,
             adaptation.settings,
             partial(_good, runs, [attempt.problem for attempt, _ in group], settings),
+            **timely,
         )
         seconds = (time.perf_counter() - begin) / len(group)
         for (attempt, index), adapted in zip(group, latent, strict=True):
@@ -288,13 +339,29 @@ def _good(
     return np.stack(found)
 
 
-def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
-    """Return the plan that the particles of one attempt amount to."""
+def _plan_of(
+    attempt: _Attempt,
+    prior: Prior,
+    settings: PlanSettings,
+    until: float = math.inf,
+    finished: Finished | None = None,
+) -> Plan:
+    """Return the plan that the particles of one attempt amount to.
+
+    Args:
+        attempt: with adapted particles.
+        prior: gives the basis.
+        settings: see `plan_problems`.
+        until: time of `time.perf_counter` from which on no more particles are checked.
+        finished: what a device found of them already.
+    """
     parts, primitive = attempt.parts, prior.single
-    weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
+    weights = _weights(attempt)
     distance = torch.cat([0.5 * part.latent.square().sum(-1) for part in parts])
     costs = {"prior": distance.numpy()}
-    if attempt.target is not None:
+    if finished is not None:
+        costs |= finished.costs
+    elif attempt.target is not None:
         with attempt.stopwatch.stage("inference"):
             planned = primitive.trajectory(weights, settings.planning_steps).numpy()
             costs |= attempt.target.costs(planned)
@@ -304,11 +371,77 @@ def _plan_of(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
             [part.component for part in parts], [len(part.latent) for part in parts]
         )
     with attempt.stopwatch.stage("verification"):
+        if finished is None:
+            trajectories = primitive.trajectory(weights, settings.samples).numpy()
+        else:
+            trajectories = finished.trajectories
         return make_plan(
             attempt.problem,
-            primitive.trajectory(weights, settings.samples).numpy(),
+            trajectories,
             costs,
             settings,
             weights=weights.numpy().reshape(-1, primitive.basis.count, primitive.dimension),
             components=components,
+            until=until,
+            verdict=None if finished is None else finished.verdict,
         )
+
+
+def _weights(attempt: _Attempt) -> Tensor:
+    """Return the weights (P, K*D) of the particles of all parts."""
+    return torch.cat([part.primitive.unwhiten(part.latent) for part in attempt.parts])
+
+
+def _on_device(
+    attempts: Sequence[_Attempt],
+    prior: Prior,
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    own: Mapping[str, tuple[float, OwnCost]],
+    device: DevicePlanner,
+) -> list[Plan]:
+    """Return the plans of attempts, adapted and checked together on a device."""
+    if not attempts:
+        return []
+    everyone = [(attempt, 1.0 / len(attempts)) for attempt in attempts]
+    problems = [attempt.problem for attempt in attempts]
+    tables = None
+    if adaptation.adapt is not None:
+        if not isinstance(adaptation.settings, SteinSettings):
+            raise ValueError("only the methods 'smp' and 'promp' can be planned on a device")
+        with _shared("map", everyone):
+            tables = device.tables(problems, settings, settings.planning_steps)
+        groups: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+        for number, attempt in enumerate(attempts):
+            for index, part in enumerate(attempt.parts):
+                groups.setdefault(tuple(part.latent.shape), []).append((number, index))
+        for group in groups.values():
+            parts = [attempts[number].parts[index] for number, index in group]
+            numbers = [number for number, _ in group]
+            with _shared("inference", [(attempts[n], 1.0 / len(group)) for n in numbers]):
+                adapted = device.adapt(
+                    tables.of_problems(numbers),
+                    [part.primitive for part in parts],
+                    torch.stack([part.latent for part in parts]),
+                    adaptation.settings,
+                    own,
+                )
+            for (number, index), part, latent in zip(group, parts, adapted, strict=True):
+                attempts[number].parts[index] = replace(part, latent=latent)
+    with _shared("verification", everyone):
+        weights = torch.stack([_weights(attempt) for attempt in attempts])
+        found = device.finish(problems, weights, prior.single, settings, own, tables)
+    return [
+        _plan_of(attempt, prior, settings, finished=finished)
+        for attempt, finished in zip(attempts, found, strict=True)
+    ]
+
+
+@contextmanager
+def _shared(name: str, attempts: Sequence[tuple[_Attempt, float]]) -> Iterator[None]:
+    """Add shares of the time spent inside to a stage of attempts."""
+    begin = time.perf_counter()
+    yield
+    seconds = time.perf_counter() - begin
+    for attempt, share in attempts:
+        attempt.stopwatch.add(name, share * seconds)

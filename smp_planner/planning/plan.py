@@ -2,16 +2,38 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_planner.planning.modes import Modes, best_of_each, group
 
-__all__ = ["Plan"]
+__all__ = ["Checks", "Plan"]
+
+_OPEN = ("collision_free", "clearance", "ranks", "signatures")
+"""Fields of a `Plan` that may be left open until they are asked for."""
+
+
+class Checks(Protocol):
+    """Checks of a set of particles, done for as many as the choice of the best one needed."""
+
+    @property
+    def chosen(self) -> int:
+        """Index of the best particle."""
+        ...
+
+    @property
+    def solved(self) -> bool:
+        """Whether the best particle is good."""
+        ...
+
+    def complete(self) -> Mapping[str, Any]:
+        """Return the fields of `Plan` that were left open, with all particles checked."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -20,6 +42,10 @@ class Plan:
 
     Lengths are m and coordinates rad for a robot; for the user's own paths both are in the unit of
     the demonstrations.
+
+    A planner checks the candidates in the order of preference until the best one is certain. The
+    rest is checked when it is first asked for: `collision_free`, `clearance`, `ranks`, `signatures`
+    and what follows from them. That takes longer than to read a number, and counts in no timing.
 
     Attributes:
         trajectories: (P, T, D), at equal steps of phase.
@@ -65,18 +91,54 @@ class Plan:
     display: Mapping[str, Any] = field(default_factory=dict)
     tool_paths: FloatArray | None = None
 
+    @classmethod
+    def pending(cls, checks: Checks, **known: Any) -> Plan:
+        """Return a plan whose open fields come from checks when they are asked for.
+
+        Args:
+            checks: of the particles.
+            known: the other fields.
+        """
+        plan = cls(**dict.fromkeys(_OPEN), **known)  # type: ignore[arg-type]
+        for name in _OPEN:
+            del plan.__dict__[name]
+        plan.__dict__["_checks"] = checks
+        return plan
+
+    def __getattr__(self, name: str) -> Any:
+        """Complete the checks when an open field is first asked for."""
+        checks = self.__dict__.get("_checks")
+        if name not in _OPEN or checks is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        self.__dict__.update(checks.complete())
+        return self.__dict__[name]
+
+    def timed(self, timings: Mapping[str, float]) -> Plan:
+        """Return the plan with other timings, open where this one is."""
+        plan = copy.copy(self)
+        plan.__dict__["timings"] = timings
+        return plan
+
     def __repr__(self) -> str:
         """Return a line without the arrays."""
         count, steps, dimension = self.trajectories.shape
+        good = "unknown" if "ranks" not in self.__dict__ else int(self.good.sum())
         return (
-            f"Plan({count} particles of {steps} x {dimension}, {int(self.good.sum())} good, "
+            f"Plan({count} particles of {steps} x {dimension}, {good} good, "
             f"chosen {self.chosen}, {self.planning_time:.2f} s)"
         )
 
     @property
     def chosen(self) -> int:
         """Index of the particle to execute, the best."""
-        return int(self.ranks.argmin())
+        checks: Checks | None = self.__dict__.get("_checks")
+        return int(self.ranks.argmin()) if checks is None else checks.chosen
+
+    @property
+    def solved(self) -> bool:
+        """Whether the chosen particle is good, that is, whether any is."""
+        checks: Checks | None = self.__dict__.get("_checks")
+        return bool(self.good[self.chosen]) if checks is None else checks.solved
 
     @property
     def best(self) -> FloatArray:

@@ -9,10 +9,32 @@ from numpy.typing import NDArray
 
 from smp_gym.arrays import BoolArray, FloatArray
 
-__all__ = ["SAFE_CLEARANCE", "rank"]
+__all__ = ["SAFE_CLEARANCE", "demanded_and_merit", "rank"]
 
 SAFE_CLEARANCE = 0.01
 """Clearance, m (or extents), beyond which more of it makes a particle no better."""
+
+
+def demanded_and_merit(
+    free: BoolArray,
+    passing: BoolArray,
+    executable: BoolArray,
+    clearance: FloatArray,
+    missed: Mapping[str, FloatArray],
+    costs: Mapping[str, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Return what particles are put in order by, (P,) and, among equals, (P,); higher is better.
+
+    Args: as of `rank`.
+    """
+    demanded = 4.0 * free + 2.0 * passing + 1.0 * executable
+    unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
+    dissimilarity = costs["prior"] if "prior" in costs else costs["length"]
+    # One unit of the prior is worth a tenth of a millimetre of missing clearance.
+    merit = -dissimilarity - 1e4 * unsafe
+    for value in missed.values():
+        merit = merit - 1e3 * value
+    return demanded, merit
 
 
 def rank(
@@ -37,13 +59,7 @@ def rank(
         missed: by how much (P,) each constraint is missed, same unit.
         costs: (P,) by name; `prior` counts, and where there is none, `length`.
     """
-    demanded = 4.0 * free + 2.0 * passing + 1.0 * executable
-    unsafe = np.where(free, np.maximum(SAFE_CLEARANCE - clearance, 0.0), -clearance)
-    dissimilarity = costs["prior"] if "prior" in costs else costs["length"]
-    # One unit of the prior is worth a tenth of a millimetre of missing clearance.
-    merit = -dissimilarity - 1e4 * unsafe
-    for value in missed.values():
-        merit = merit - 1e3 * value
+    demanded, merit = demanded_and_merit(free, passing, executable, clearance, missed, costs)
     order = np.lexsort((merit, demanded))[::-1]
     places = np.empty(len(order), np.int64)
     places[order] = np.arange(len(order))

@@ -9,11 +9,19 @@ import torch
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
-from smp_planner.collision.costs import REFERENCE_STEPS, Cost, ValueAndGradient, steps_scale
+from smp_planner.collision.costs import (
+    REFERENCE_STEPS,
+    CollisionCost,
+    CompiledCost,
+    Cost,
+    ValueAndGradient,
+    steps_scale,
+)
 from smp_planner.planning.bodies import ObstacleCost
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.threads import Threads
 
 __all__ = ["SceneTarget", "TargetBatch"]
 
@@ -25,6 +33,7 @@ class SceneTarget:
         problem: gives obstacles and constraints.
         settings: weights and widths.
         extra: further costs by name with their weights, functions of trajectories (P, T, D).
+        threads: that share the particles; by default, the caller's alone.
     """
 
     def __init__(
@@ -32,11 +41,14 @@ class SceneTarget:
         problem: Problem,
         settings: PlanSettings,
         extra: dict[str, tuple[float, Cost]] | None = None,
+        threads: Threads | None = None,
     ) -> None:
         self.problem, self.settings = problem, settings
+        self._threads = threads or Threads(1)
         self._stages: list[tuple[Stage, ObstacleCost]] = []
         maps = SceneMaps(settings, problem.seed)
-        for stage in problem.stages:
+        # Maps of few obstacles first: those of more begin with them.
+        for stage in sorted(problem.stages, key=lambda stage: len(stage.obstacles)):
             cost = stage.body.obstacle_cost(stage.obstacles, stage.cloud, maps)
             if cost is not None:
                 self._stages.append((stage, cost))
@@ -59,50 +71,84 @@ class SceneTarget:
         return self.problem.pins
 
     def gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
-        """Return the gradient (P, T, D) of the weighted sum of costs.
+        """Return the gradient (P, T, D) of the weighted sum of costs; nothing is checked.
 
         Args:
-            trajectories: (P, T, D).
+            trajectories: (P, T, D), contiguous.
             progress: 0 in the first iteration to 1 in the last; narrows the map's edge.
         """
-        gradient = self.settings.obstacle_weight * self.obstacle_gradient(trajectories, progress)
-        for weight, cost in self._terms.values():
-            gradient += weight * cost(trajectories)[1]
-        return gradient
+        return self._weighted(trajectories, self._width(progress))[1]
 
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted, as `gradient`."""
-        first, last = self.settings.edge_width
-        width = first * (last / first) ** progress
-        return self._collision(trajectories, width, self.settings.margin)[1]
+        return self._collision(trajectories, self._width(progress), self.settings.margin)[1]
 
     def weighted_sum(self, trajectories: FloatArray) -> FloatArray:
         """Return the weighted sum (P,) of costs, with the map's edge at its last width."""
-        width, margin = self.settings.edge_width[1], self.settings.margin
-        total = self.settings.obstacle_weight * self._collision(trajectories, width, margin)[0]
-        for weight, cost in self._terms.values():
-            total = total + weight * cost(trajectories)[0]
-        return total
+        return self._weighted(trajectories, self.settings.edge_width[1])[0]
 
     def costs(self, trajectories: FloatArray) -> dict[str, FloatArray]:
         """Return the unweighted costs (P,) by name, with the map's edge at its last width."""
         costs = {"obstacles": self._collision(trajectories, self.settings.edge_width[1], 0.0)[0]}
         return costs | {name: cost(trajectories)[0] for name, (_, cost) in self._terms.items()}
 
+    def _width(self, progress: float) -> float:
+        first, last = self.settings.edge_width
+        return float(first * (last / first) ** progress)
+
+    def _weighted(self, trajectories: FloatArray, width: float) -> ValueAndGradient:
+        """Return the weighted sum (P,) of costs and its gradient (P, T, D)."""
+        value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
+        settings = self.settings
+
+        def add(rows: slice) -> None:
+            part, total, slope = trajectories[rows], value[rows], gradient[rows]
+            self._add_collision(
+                part, width, settings.margin, settings.obstacle_weight, total, slope
+            )
+            for weight, cost in self._terms.values():
+                if isinstance(cost, CompiledCost):
+                    cost.add(part, weight, total, slope)
+
+        self._threads.over(len(trajectories), add)
+        for weight, cost in self._terms.values():
+            if not isinstance(cost, CompiledCost):
+                found, slope = cost(trajectories)
+                value += weight * found
+                gradient += weight * slope
+        return value, gradient
+
     def _collision(self, trajectories: FloatArray, width: float, margin: float) -> ValueAndGradient:
         """Return the collision cost (P,) of all stages and its gradient (P, T, D)."""
-        count = trajectories.shape[1]
         value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
+        self._add_collision(trajectories, width, margin, 1.0, value, gradient)
+        return value, gradient
+
+    def _add_collision(
+        self,
+        trajectories: FloatArray,
+        width: float,
+        margin: float,
+        weight: float,
+        value: FloatArray,
+        gradient: FloatArray,
+    ) -> None:
+        """Add the weighted collision cost of all stages to value (P,) and gradient (P, T, D)."""
+        count = trajectories.shape[1]
+        # What lies between steps counts, not the steps: so a trajectory whose ends are clear
+        # costs the same however finely it is sampled.
+        share = weight * (REFERENCE_STEPS - 1) / (count - 1)
         for stage, cost in self._stages:
             steps = stage.steps(count)
-            part = trajectories[:, steps]
-            # What lies between steps counts, not the steps: so a trajectory whose ends are clear
-            # costs the same however finely it is sampled.
-            share = (REFERENCE_STEPS - 1) / (count - 1) / steps_scale(part.shape[1])
-            of_stage, slope = cost(part, width, margin)
-            value += share * of_stage
-            gradient[:, steps] += share * slope
-        return value, gradient
+            if isinstance(cost, CollisionCost):
+                cost.add_stretch(
+                    trajectories, steps.start, steps.stop, width, margin, share, value, gradient
+                )
+                continue
+            of_stage, slope = cost(trajectories[:, steps], width, margin)
+            scale = share / steps_scale(slope.shape[1])
+            value += scale * of_stage
+            gradient[:, steps] += scale * slope
 
 
 class TargetBatch:

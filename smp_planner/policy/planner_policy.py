@@ -250,9 +250,10 @@ class PlannerPolicy:
         self, plan: Plan, problem: Problem, decoded: DecodedObservation, deterministic: bool
     ) -> Execution:
         particle = plan.chosen
-        candidates = np.flatnonzero(plan.good if plan.good.any() else plan.collision_free)
-        if not deterministic and len(candidates):
-            particle = int(np.random.default_rng([problem.seed, 1]).choice(candidates))
+        if not deterministic:
+            candidates = np.flatnonzero(plan.good if plan.solved else plan.collision_free)
+            if len(candidates):
+                particle = int(np.random.default_rng([problem.seed, 1]).choice(candidates))
         track = self.track(plan, particle, decoded.elapsed_steps)
         return Execution(plan, particle, track, problem.seed)
 

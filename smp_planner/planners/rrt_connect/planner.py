@@ -8,7 +8,7 @@ neither on the machine nor on what was planned before.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -385,7 +385,7 @@ class SearchPlanner:
                     f"{settings.postures} configurations at the goal are free"
                 ),
             )
-        return replace(plan, timings=stopwatch.timings)
+        return plan.timed(stopwatch.timings)
 
 
 class RRTConnectPlanner(SearchPlanner):

@@ -9,8 +9,9 @@ import torch
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner.collision import costs
+from smp_planner.collision import autograd, costs
 from smp_planner.collision import kernels as compiled
+from smp_planner.collision.autograd import by_autograd
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 from smp_planner.planning.constraints import Reaching, ToolPath
@@ -43,76 +44,82 @@ def trajectories(robot, particles=6, steps=12, seed=3):
     return ends[0] + 0.4 * (ends[1] - ends[0]) * phase**2
 
 
-def numerical(cost, q, step=1e-6):
-    """Derivative of a cost along 8 random directions, and the directions."""
-    directions = np.random.default_rng(4).normal(size=(8, *q.shape))
-    return directions, np.stack(
-        [(cost(q + step * d)[0] - cost(q - step * d)[0]) / (2 * step) for d in directions]
-    )
-
-
-def assert_gradient(cost, q, rtol=1e-5):
-    directions, expected = numerical(cost, q)
+def assert_agrees(cost, oracle, q):
+    """Value and gradient are those of a differentiable function, up to single precision."""
     value, gradient = cost(q)
     assert value.shape == (len(q),)
     assert gradient.shape == q.shape
-    assert np.abs(expected).max() > 0.0
-    found = (directions * gradient).sum(axis=(2, 3))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=rtol * np.abs(expected).max())
+    expected_value, expected_gradient = by_autograd(oracle, torch.as_tensor(q))
+    largest = np.abs(expected_gradient).max()
+    assert largest > 0.0
+    assert (expected_value > 0.1).any()
+    np.testing.assert_allclose(value, expected_value, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(gradient, expected_gradient, rtol=0, atol=1e-5 * largest)
 
 
-def autograd(cost, q):
-    tensor = torch.as_tensor(q).requires_grad_()
-    value = cost(tensor)
-    (gradient,) = torch.autograd.grad(value.sum(), tensor)
-    return value.detach().numpy(), gradient.numpy()
-
-
-def sampled(grid, points):
-    """Trilinear interpolation by another library: (P,T,S,3) m to (P,T,S) m."""
-    values = torch.as_tensor(grid.values, dtype=torch.float64)
-    extent = grid.spacing * (torch.as_tensor(values.shape, dtype=torch.float64) - 1)
-    unit = 2 * (points - torch.as_tensor(grid.origin)) / extent - 1
-    flat = torch.nn.functional.grid_sample(
-        values[None, None],
-        unit.flip(-1).reshape(1, 1, 1, -1, 3),
-        mode="bilinear",
-        padding_mode="border",
-        align_corners=True,
+def assert_slope(cost, q, step=1e-3):
+    """Along random directions the value changes as the gradient says."""
+    directions = np.random.default_rng(4).normal(size=(8, *q.shape))
+    expected = np.stack(
+        [(cost(q + step * d)[0] - cost(q - step * d)[0]) / (2 * step) for d in directions]
     )
-    return flat.reshape(points.shape[:-1])
+    found = (directions * cost(q)[1]).sum(axis=(2, 3))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.03 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("edge_width", "margin"), [(0.05, 0.01), (0.01, 0.01), (0.02, -0.01)])
 def test_collision_cost_is_eq_12(robot, grid, edge_width, margin):
-    moving = robot.link > 0
-    radius = torch.as_tensor(robot.radius[moving])
-    truncation = torch.as_tensor(float(grid.values.max()), dtype=torch.float64)
-    reach = torch.minimum(truncation, radius + margin + costs.CUTOFF_WIDTHS * edge_width)
-
-    def squared(distance):
-        return torch.sigmoid(-(distance - radius - margin) / edge_width) ** 2
-
-    def oracle(q):
-        distance = sampled(grid, robot.sphere_centers(q)[:, :, moving])
-        excess = torch.clamp(squared(distance) - squared(reach), min=0.0)
-        return excess.sum(dim=(1, 2)) * costs.REFERENCE_STEPS / q.shape[1]
-
-    q = trajectories(robot)
-    value, gradient = costs.CollisionCost(robot, grid)(q, edge_width, margin)
-    expected_value, expected_gradient = autograd(oracle, q)
-    assert (expected_value > 1.0).any()
-    # The map is stored in single precision.
-    np.testing.assert_allclose(value, expected_value, rtol=1e-6)
-    scale = np.abs(expected_gradient).max()
-    np.testing.assert_allclose(gradient, expected_gradient, rtol=0, atol=1e-6 * scale)
+    cost = costs.CollisionCost(robot, grid, scale=0.7)
+    assert_agrees(
+        lambda q: cost(q, edge_width, margin),
+        lambda q: autograd.map_collision(cost, q, edge_width, margin),
+        trajectories(robot, particles=13, steps=17),
+    )
 
 
-def test_collision_gradient_by_finite_differences(robot, grid):
-    cost = costs.CollisionCost(robot, grid)
+def test_slopes_by_finite_differences(robot, grid):
+    collision, own = costs.CollisionCost(robot, grid), costs.SelfCollisionCost(robot, 0.02)
     # Few steps: where a sphere goes from one cell to the next the interpolant has an edge, which
     # finite differences must not meet.
-    assert_gradient(lambda q: cost(q, 0.03, 0.0), trajectories(robot, 8, 1), rtol=1e-5)
+    assert_slope(lambda q: collision(q, 0.05, 0.0), trajectories(robot, 8, 1))
+    assert_slope(own, trajectories(robot, 20, 1))
+
+
+def test_a_part_of_a_set_costs_what_it_does_alone(robot, grid):
+    q = trajectories(robot, particles=9, steps=31)
+    for cost in path_costs(robot, grid).values():
+        value, gradient = cost(q)
+        for part in (slice(0, 4), slice(4, 5), slice(5, 9)):
+            alone = cost(q[part])
+            np.testing.assert_array_equal(alone[0], value[part])
+            np.testing.assert_array_equal(alone[1], gradient[part])
+
+
+def test_a_stretch_costs_what_its_steps_do(robot, grid):
+    q = trajectories(robot, particles=5, steps=30)
+    cost = costs.CollisionCost(robot, grid)
+    value, gradient = np.full(5, 2.0), np.ones(q.shape)
+    cost.add_stretch(q, 7, 19, 0.03, 0.01, 3.0, value, gradient)
+    expected, slope = cost(np.ascontiguousarray(q[:, 7:19]), 0.03, 0.01)
+    scale = 3.0 / costs.steps_scale(12)
+    np.testing.assert_allclose(value, 2.0 + scale * expected)
+    np.testing.assert_allclose(gradient[:, 7:19], 1.0 + scale * slope)
+    assert (gradient[:, :7] == 1.0).all()
+    assert (gradient[:, 19:] == 1.0).all()
+
+
+def test_configurations_that_are_no_numbers_harm_nothing(robot, grid):
+    q = trajectories(robot, particles=4, steps=9)
+    spoiled = q.copy()
+    spoiled[1, 3, 2], spoiled[2] = np.nan, np.inf
+    for name, cost in compiled_costs(robot, grid).items():
+        results = []
+        for given in (q, spoiled):
+            value, gradient = np.zeros(4), np.zeros(q.shape)
+            cost(given, value, gradient)
+            results.append((value, gradient))
+        for of_all, of_spoiled in zip(*results, strict=True):
+            np.testing.assert_array_equal(of_spoiled[[0, 3]], of_all[[0, 3]], err_msg=name)
 
 
 def test_nothing_near_costs_exactly_nothing(robot):
@@ -165,27 +172,9 @@ def test_spheres_outside_the_grid_take_its_boundary(robot):
 
 
 def test_self_collision_cost(robot):
-    edge_width, margin = 0.01, 0.005
-    pairs = torch.as_tensor(robot.collision_pairs)
-    both = torch.as_tensor(robot.radius)[pairs].sum(dim=1)
-
-    def squared(gap):
-        return torch.sigmoid(-(gap - margin) / edge_width) ** 2
-
-    def oracle(q):
-        centers = robot.sphere_centers(q)
-        gap = (centers[:, :, pairs[:, 0]] - centers[:, :, pairs[:, 1]]).norm(dim=-1) - both
-        reach = torch.as_tensor(margin + costs.CUTOFF_WIDTHS * edge_width, dtype=torch.float64)
-        excess = torch.clamp(squared(gap) - squared(reach), min=0.0)
-        return excess.sum(dim=(1, 2)) * costs.REFERENCE_STEPS / q.shape[1]
-
-    q = trajectories(robot, particles=20)
-    value, gradient = costs.SelfCollisionCost(robot, edge_width, margin)(q)
-    expected_value, expected_gradient = autograd(oracle, q)
-    assert (expected_value > 1.0).any()
-    np.testing.assert_allclose(value, expected_value, rtol=1e-9, atol=1e-12)
-    scale = np.abs(expected_gradient).max()
-    np.testing.assert_allclose(gradient, expected_gradient, rtol=0, atol=1e-9 * scale)
+    cost = costs.SelfCollisionCost(robot, edge_width=0.01, margin=0.005)
+    q = trajectories(robot, particles=40)
+    assert_agrees(cost, lambda q: autograd.self_collision(cost, q), q)
 
 
 def test_joint_limit_cost(robot):
@@ -193,7 +182,7 @@ def test_joint_limit_cost(robot):
     q = trajectories(robot)
     q[0, 3, 1] = robot.upper[1] + 0.2
     q[1, 5, 2] = robot.lower[2] - 0.5
-    assert_gradient(cost, q)
+    assert_agrees(cost, lambda q: autograd.joint_limits(cost, q), q)
     inside = np.tile((robot.lower + robot.upper) / 2, (1, 4, 1))
     inside[0, 2, 4] = robot.upper[4] + 0.3
     np.testing.assert_allclose(cost(inside)[0], costs.REFERENCE_STEPS / 4 * 0.4**2)
@@ -201,7 +190,8 @@ def test_joint_limit_cost(robot):
 
 def test_velocity_limit_cost(robot):
     q = trajectories(robot)
-    assert_gradient(costs.VelocityLimitCost(robot.velocity, 2.0), q)
+    limit = costs.VelocityLimitCost(robot.velocity, 2.0)
+    assert_agrees(limit, lambda q: autograd.velocity_limits(limit, q), q)
     # Joint 0 turns evenly at 1.5 times what is allowed, the others stand.
     cost = costs.VelocityLimitCost(np.array([0.6, 0.6]), duration=10.0, fraction=0.9)
     line = np.zeros((1, 21, 2))
@@ -210,6 +200,20 @@ def test_velocity_limit_cost(robot):
     value, gradient = cost(line / 1.6)
     assert value == 0.0
     assert (gradient == 0.0).all()
+
+
+def compiled_costs(robot, grid):
+    """What the costs compute with, unchecked: functions of trajectories, value and gradient."""
+    collision = costs.CollisionCost(robot, grid)
+    added = {
+        "self-collision": costs.SelfCollisionCost(robot, 0.02, 0.01),
+        "joint limits": costs.JointLimitCost(robot.lower, robot.upper, 0.5),
+        "velocity limits": costs.VelocityLimitCost(robot.velocity, 1.0),
+    }
+    return {
+        "collision": lambda q, v, g: collision.add_stretch(q, 0, q.shape[1], 0.03, 0.01, 1.0, v, g),
+        **{name: lambda q, v, g, cost=cost: cost.add(q, 1.0, v, g) for name, cost in added.items()},
+    }
 
 
 def path_costs(robot, grid):

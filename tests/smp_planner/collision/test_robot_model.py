@@ -162,3 +162,19 @@ def test_bad_arguments_are_refused():
         robot.carried_points(np.zeros(2), np.zeros(2))
     with pytest.raises(ValueError, match="configurations must have shape"):
         robot.link_transforms(torch.zeros(4, 3))
+
+
+def test_no_posture_brings_spheres_nearer_than_their_least_gap():
+    robot = jaco_model(kinematics.finger_spheres(np.array([0.3, 0.4, 0.2, 0.1])))
+    pairs = robot.link_pairs.pairs
+    gaps = robot.least_gaps
+    known = np.isfinite(gaps)
+    between = np.abs(np.diff(robot.link[pairs], axis=1)[:, 0])
+    np.testing.assert_array_equal(known, between <= 2)
+    assert known.any()
+    angles = np.random.default_rng(2).uniform(-np.pi, np.pi, (20_000, robot.joints))
+    centers = robot.sphere_centers(torch.as_tensor(angles)).numpy()
+    apart = np.linalg.norm(centers[:, pairs[:, 0]] - centers[:, pairs[:, 1]], axis=-1).min(axis=0)
+    found = (apart - robot.radius[pairs].sum(axis=1))[known]
+    assert (gaps[known] <= found + 1e-9).all()
+    assert (gaps[known] > found - 0.005).all()

@@ -19,7 +19,7 @@ needs_ompl = pytest.mark.skipif(
 
 
 @needs_ompl
-@pytest.mark.parametrize("algorithm", ["BITstar", "RRTstar"])
+@pytest.mark.parametrize("algorithm", ["BITstar", "RRTConnect", "RRTstar"])
 def test_a_path_leads_round_a_pillar(planar, algorithm):
     """The stretched arm must fold to pass."""
     pillar = Obstacle(shape="cylinder", position=(1.9, 0.0, 0.0), size=(0.1, 0.1, 1.0))

@@ -1,0 +1,79 @@
+"""Measure what whole plans take: stages and total, side by side with other planners."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from smp_planner.benchmark.plan_speed import (
+    Measurement,
+    Variant,
+    compared,
+    growth,
+    markdown,
+    measure,
+    stages_table,
+)
+from smp_planner.planners.ompl_search import ompl_is_installed
+
+_AUTOGRAD = "autograd=smp_planner.benchmark.autograd_planner:AutogradPlanner"
+_OMPL = "ompl=smp_planner.planners.ompl_search:OMPLPlanner"
+
+
+def main(
+    tasks: Annotated[str, typer.Option(help="Names, with commas between.")] = (
+        "Placement,DoubleSidedPlacement,DrawS,PushLiftBox"
+    ),
+    difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "medium",
+    scenes: Annotated[int, typer.Option(min=1, help="Scenes of each task.")] = 50,
+    first_seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 71_000,
+    beside: Annotated[
+        Path | None, typer.Option(help="Folder of another version of the packages to time, too.")
+    ] = None,
+    threads: Annotated[str, typer.Option(help="Numbers of threads, with commas.")] = "1,2",
+    busy: Annotated[bool, typer.Option(help="Once more beside a process that computes.")] = True,
+    autograd: Annotated[int, typer.Option(min=0, help="Scenes planned by autograd, too.")] = 2,
+    ompl: Annotated[int, typer.Option(min=0, help="Scenes planned by OMPL, too.")] = 2,
+    grow: Annotated[bool, typer.Option(help="How the time grows with the problem.")] = True,
+    out: Annotated[Path | None, typer.Option(help="Markdown file for the tables.")] = None,
+) -> None:
+    """Time plans of the same scenes, in turns, and print tables.
+
+    Each version plans in a process of its own, and all take turns scene by scene, so ratios hold on
+    a busy machine too. Only seeds below 100000 are for such trials.
+
+    Example: git worktree add ../before COMMIT; python scripts/speed_plan.py --beside ../before
+    """
+    counts = [int(count) for count in threads.split(",")]
+    variants = [Variant(f"{count} threads", count) for count in counts]
+    if busy:
+        variants.append(Variant(f"{counts[-1]} threads, busy", counts[-1], busy=1))
+    reference = variants[0].name
+    if beside is not None:
+        reference = beside.name
+        variants.insert(0, Variant(reference, path=beside))
+    slow = []
+    if autograd:
+        slow.append((autograd, Variant("autograd", settings={"method": _AUTOGRAD})))
+    if ompl and ompl_is_installed():
+        settings = {"method": _OMPL, "algorithm": "RRTConnect", "particles": 42, "seconds": 5.0}
+        slow.append((ompl, Variant("OMPL RRT-Connect", settings=settings)))
+    found: list[Measurement] = []
+    for task in tasks.split(","):
+        found += measure(task, difficulty, range(first_seed, first_seed + scenes), variants)
+        for count, variant in slow:
+            found += measure(task, difficulty, range(first_seed, first_seed + count), [variant])
+    tables = [compared(found, reference), stages_table(found)]
+    if grow:
+        tables.append(growth())
+    text = "\n\n".join(markdown(table) for table in tables) + "\n"
+    Console().print(text, highlight=False, soft_wrap=True)
+    if out is not None:
+        out.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)

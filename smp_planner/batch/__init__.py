@@ -1,0 +1,1 @@
+"""Planning of many scenes at once: costs, descent and checks as tensors on one device."""

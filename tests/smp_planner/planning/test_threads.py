@@ -1,0 +1,71 @@
+"""Threads share rows, hand on what fails, and change no plan."""
+
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+from smp_planner.planning.threads import Threads, default_threads
+
+
+@pytest.mark.parametrize(("threads", "rows"), [(1, 7), (2, 7), (3, 7), (4, 3), (2, 1), (3, 0)])
+def test_every_row_is_computed_once(threads, rows):
+    done, names = np.zeros(rows, np.int64), set()
+
+    def work(part):
+        names.add(threading.get_ident())
+        done[part] += 1
+
+    with Threads(threads) as pool:
+        for _ in range(3):
+            pool.over(rows, work)
+    np.testing.assert_array_equal(done, 3)
+    assert len(names) <= max(1, min(threads, rows))
+
+
+def test_threads_work_at_the_same_time():
+    meeting = threading.Barrier(3, timeout=30.0)
+    with Threads(3) as pool:
+        pool.over(3, lambda _: meeting.wait())
+    assert not meeting.broken
+
+
+def test_threads_end_with_the_context():
+    before = threading.active_count()
+    with Threads(3) as pool:
+        pool.over(9, lambda _: None)
+        assert threading.active_count() == before + 2
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("failing", [0, 4])
+def test_what_fails_in_a_thread_fails_for_the_caller_after_all_are_done(failing):
+    done = []
+
+    def work(part):
+        if part.start <= failing < part.stop:
+            raise ArithmeticError("no such row")
+        done.append(part)
+
+    with Threads(2) as pool:
+        with pytest.raises(ArithmeticError, match="no such row"):
+            pool.over(6, work)
+        assert len(done) == 1
+        pool.over(6, lambda part: done.append(part))
+    assert len(done) == 3
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True, None])
+def test_a_number_of_threads_that_is_none_is_refused(count):
+    with pytest.raises(ValueError, match="threads must be a positive integer, got"):
+        Threads(count)
+
+
+def test_a_plan_uses_as_many_threads_as_torch():
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        assert default_threads() == 1
+    finally:
+        torch.set_num_threads(before)
