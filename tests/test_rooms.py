@@ -133,7 +133,7 @@ PLANNER_ROOMS = (
     ("movement_primitives", "inference", "occupancy"),
     ("collision",),
     ("adaptation",),
-    ("planning",),
+    ("planning", "batch"),
     ("planners", "library"),
     ("policy",),
     ("benchmark", "agents"),

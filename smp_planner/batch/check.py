@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from smp_planner.batch.tables import BodyTables, Tables
+from smp_planner.batch.problem_tables import BodyTables, Tables
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 
 __all__ = ["Gaps", "PathGaps", "path_gaps"]

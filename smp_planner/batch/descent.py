@@ -16,7 +16,7 @@ from torch import Tensor
 
 from smp_planner.adaptation import Runs
 from smp_planner.adaptation.stein import iterate
-from smp_planner.batch.tables import Tables
+from smp_planner.batch.problem_tables import Tables
 from smp_planner.inference import State, SVGDSettings
 from smp_planner.movement_primitives import phases
 from smp_planner.movement_primitives.basis import GaussianBasis

@@ -1,4 +1,4 @@
-"""The costs and the check of a batch by the kernels of `smp_planner.batch.kernels`."""
+"""The costs and the check of a batch by the kernels of `smp_planner.batch.fused_kernels`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from smp_planner.batch import kernels
-from smp_planner.batch.costs import WEIGHTED, tool_cost
-from smp_planner.batch.tables import BodyTables, Tables
+from smp_planner.batch import fused_kernels as kernels
+from smp_planner.batch.plain_costs import WEIGHTED, tool_cost
+from smp_planner.batch.problem_tables import BodyTables, Tables
 from smp_planner.collision.costs import CUTOFF_WIDTHS, REFERENCE_STEPS
 from smp_planner.collision.verification import SELF_HORIZON
 from smp_planner.occupancy.occupancy_map import TRUNCATION

@@ -18,9 +18,9 @@ from torch import Tensor
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation.stein import SteinSettings, inference_of
 from smp_planner.batch.check import Gaps, path_gaps
-from smp_planner.batch.costs import PlainCosts, plain_gaps
 from smp_planner.batch.descent import BatchCosts, DeviceTarget, Graphs, PathRuns, descend
-from smp_planner.batch.tables import Tables, checked_device
+from smp_planner.batch.plain_costs import PlainCosts, plain_gaps
+from smp_planner.batch.problem_tables import Tables, checked_device
 from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.movement_primitives import ProMP, phases

@@ -18,10 +18,10 @@ from torch import Tensor
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_planner.adaptation.stein import SteinSettings, inference_of
-from smp_planner.batch.costs import PlainCosts
 from smp_planner.batch.descent import PathRuns
+from smp_planner.batch.plain_costs import PlainCosts
 from smp_planner.batch.planning import DevicePlanner
-from smp_planner.batch.tables import Tables
+from smp_planner.batch.problem_tables import Tables
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.assessment import assess
 from smp_planner.planning.pipeline import conditioned_parts, one_thread

@@ -9,8 +9,8 @@ from batch_problems import ROUND
 
 from smp_gym.geometry.distance import PackedObstacles, signed_distance_and_gradient
 from smp_gym.scene import TABLE
-from smp_planner.batch.costs import PlainCosts, obstacle_distance, plain_gaps
-from smp_planner.batch.tables import Tables, obstacle_rows
+from smp_planner.batch.plain_costs import PlainCosts, obstacle_distance, plain_gaps
+from smp_planner.batch.problem_tables import Tables, obstacle_rows
 from smp_planner.collision.verification import check_collisions
 from smp_planner.planning.target import SceneTarget
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from smp_planner.batch.check import path_gaps
-from smp_planner.batch.costs import plain_gaps
+from smp_planner.batch.plain_costs import plain_gaps
 from smp_planner.batch.planning import DevicePlanner
 from smp_planner.planners import make_planner
 from smp_planner.planning.assessment import assess

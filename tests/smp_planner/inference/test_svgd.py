@@ -278,9 +278,10 @@ def test_single_precision_stays_single_precision():
     assert step(init(score, settings), score, score, settings).particles.dtype == torch.float32
 
 
-def test_the_named_settings_change_one_thing_each():
+def test_the_named_settings_change_what_they_say():
     default = named_settings("default")
     changes = {
+        "quick": {"optimizer", "step_size", "iterations"},
         "no_repulsion": {"repulsion"},
         "raw": {"whiten"},
         "median_over_log": {"kernel"},
@@ -320,7 +321,9 @@ def test_a_metric_is_for_a_metric_kernel():
 
 
 def test_an_unknown_setting_lists_those_that_exist():
-    with pytest.raises(ValueError, match=r"one of default, paper, no_repulsion, .*; got 'fast'"):
+    with pytest.raises(
+        ValueError, match=r"one of default, paper, quick, no_repulsion, .*; got 'fast'"
+    ):
         named_settings("fast")
 
 

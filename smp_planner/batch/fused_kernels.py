@@ -1,9 +1,9 @@
 """The costs of a batch and the check of trajectories as fused kernels in Triton.
 
 Triton comes with torch on Linux with CUDA; this module can be imported only where it is installed.
-The arithmetic is that of `smp_planner.batch.costs`, which says in plain torch what is computed. A
-program takes `BLOCK` configurations, neighbours on their trajectory, through the chain. All that
-is the same for them (links and obstacles that are far, spheres, shapes) is decided once for all.
+The arithmetic is that of `smp_planner.batch.plain_costs`, which says in plain torch what is
+computed. A program takes `BLOCK` configurations, neighbours on their trajectory, through the chain.
+All that is the same for them (links and obstacles that are far, spheres, shapes) is decided once.
 
 What bounds a block is measured from balls around links: the distance of a sphere on link k to an
 obstacle is at least that of the ball's centre less the ball's radius (all radii included), and
@@ -118,7 +118,7 @@ def _torque(poses, link: tl.constexpr, x, y, z, fx, fy, fz, mx, my, mz):
 
 @triton.jit
 def _distance(row, x, y, z):
-    """Return distance and gradient of points to the obstacle of a row; see `batch.shapes`."""
+    """Return distance and gradient to the obstacle of a row; see `batch.shape_distance`."""
     code = tl.load(row)
     r0 = tl.load(row + 1)
     r1 = tl.load(row + 2)

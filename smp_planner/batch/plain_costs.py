@@ -7,7 +7,7 @@ and projected on the joint axes, so no Jacobian is formed. The values are differ
 autograd can check the gradients.
 
 This is the reference: it asks the host which shapes and links matter, and does far more work than
-the fused kernels of `smp_planner.batch.kernels`, which compute the same.
+the fused kernels of `smp_planner.batch.fused_kernels`, which compute the same.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from smp_planner.batch.shapes import LOCAL_DISTANCES, profile_distance
-from smp_planner.batch.tables import BodyTables, Tables, ToolTables
+from smp_planner.batch.problem_tables import BodyTables, Tables, ToolTables
+from smp_planner.batch.shape_distance import LOCAL_DISTANCES, profile_distance
 from smp_planner.collision.costs import CUTOFF_WIDTHS, REFERENCE_STEPS
 from smp_planner.collision.verification import SELF_HORIZON
 from smp_planner.occupancy.occupancy_map import TRUNCATION

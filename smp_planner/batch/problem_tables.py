@@ -14,7 +14,7 @@ from torch import Tensor
 from smp_gym.arrays import FloatArray
 from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.geometry.registry import SHAPES
-from smp_planner.batch.shapes import LOCAL_DISTANCES
+from smp_planner.batch.shape_distance import LOCAL_DISTANCES
 from smp_planner.collision.costs import (
     REFERENCE_STEPS,
     JointLimitCost,
