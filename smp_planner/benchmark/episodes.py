@@ -22,7 +22,7 @@ from smp_gym.scene import FAMILIES, Scene
 from smp_gym.suites import Cell
 from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import Execution, PlannerPolicy
-from smp_planner.policy.replanning import LATENCY
+from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = [
     "WARM_UP_SEED",
@@ -236,7 +236,7 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
 
 def _of_replanning(execution: Execution, policy: PlannerPolicy) -> dict[str, Any]:
     """Return the columns that speak of plans made anew; none where the policy plans once."""
-    pursuit, replanning = execution.pursuit, policy.replanning
+    pursuit, replanning = execution.pursuit, policy.replanned_execution
     if pursuit is None or replanning is None:
         return {}
     messages = (execution.plan.message, pursuit.message)

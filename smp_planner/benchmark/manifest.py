@@ -16,7 +16,7 @@ from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow, PlayMethods
 from smp_planner.benchmark.results_folder import ResultsFolder, read_manifest, read_rows
 from smp_planner.planners.registry import resolve
 from smp_planner.policy.planner_policy import PlannerPolicy
-from smp_planner.policy.replanning import LATENCY
+from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = [
     "EpisodeStore",

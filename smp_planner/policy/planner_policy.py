@@ -25,7 +25,7 @@ from smp_planner.planning.problem import Planner, Problem
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.policy_file import SavedPolicy, read_policy, write_policy
-from smp_planner.policy.replanning import (
+from smp_planner.policy.replanned_execution import (
     LATENCY,
     Pursuit,
     Replanner,
