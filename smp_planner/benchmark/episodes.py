@@ -236,7 +236,7 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
 
 def _of_replanning(execution: Execution, policy: PlannerPolicy) -> dict[str, Any]:
     """Return the columns that speak of plans made anew; none where the policy plans once."""
-    pursuit, replanning = execution.pursuit, policy.replanned_execution
+    pursuit, replanning = execution.pursuit, policy.replanning
     if pursuit is None or replanning is None:
         return {}
     messages = (execution.plan.message, pursuit.message)

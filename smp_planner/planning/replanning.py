@@ -19,6 +19,7 @@ from smp_planner.adaptation.continuing import continue_stein, moved_memory
 from smp_planner.movement_primitives import ProMP
 from smp_planner.occupancy.point_cloud import CloudMap
 from smp_planner.planning.assessment import make_plan
+from smp_planner.planning.clock import Clock
 from smp_planner.planning.constraints import (
     Constraint,
     Exactly,
@@ -33,7 +34,6 @@ from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
-from smp_planner.planning.timing import Clock
 
 if TYPE_CHECKING:
     from typing import Any

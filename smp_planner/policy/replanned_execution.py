@@ -26,13 +26,13 @@ from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.moving import clearance_in_time, is_moving
+from smp_planner.planning.clock import RAMP, Clock
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.forecasting import forecast_of
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.replanning import LEAST_RATE, resumed
 from smp_planner.planning.settings import PlanSettings
-from smp_planner.planning.timing import RAMP, Clock
 from smp_planner.policy.observed_problem import seen_map
 from smp_planner.policy.tracking import CLOSING_STEPS, SETTLING_STEPS, GripperEvent
 

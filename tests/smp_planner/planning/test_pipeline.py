@@ -64,9 +64,9 @@ def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, mon
     checked = []
     collisions = assessment._collisions
 
-    def counting(problem, trajectories):
+    def counting(problem, trajectories, settings):
         checked.append(len(trajectories))
-        return collisions(problem, trajectories)
+        return collisions(problem, trajectories, settings)
 
     monkeypatch.setattr(assessment, "_collisions", counting)
     plan = make_plan(problem, trajectories, costs, settings)

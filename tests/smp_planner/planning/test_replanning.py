@@ -9,9 +9,9 @@ import torch
 
 import smp_gym  # noqa: F401
 from smp_planner.collision.verification import check_collisions
+from smp_planner.planning.clock import Clock
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.replanning import direction, resumed
-from smp_planner.planning.timing import Clock
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 PHASE = 0.37

@@ -7,7 +7,7 @@ import pytest
 import smp_gym  # noqa: F401
 from smp_gym.observation import CONTROL_PERIOD, state_field
 from smp_gym.robot.kinematics import JOINT_VELOCITY
-from smp_planner.planning.timing import RAMP
+from smp_planner.planning.clock import RAMP
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 FEW = {"particles": 14}

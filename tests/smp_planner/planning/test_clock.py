@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smp_planner.collision.verification import minimum_duration
-from smp_planner.planning.timing import RAMP, Clock
+from smp_planner.planning.clock import RAMP, Clock
 
 VELOCITY = np.array([0.6, 0.8])
 
