@@ -196,9 +196,7 @@ class BulletWorld:
             mass: kg; 0 makes it immovable.
             seen_only: further shapes in the body's frame, in pictures only.
         """
-        collision, visual = self._shapes(parts, color)
-        if seen_only and self._seen:
-            visual = self._visual([*parts, *seen_only], color)
+        collision, visual = self._shapes(parts, seen_only, color)
         body = pybullet.createMultiBody(
             baseMass=mass,
             baseCollisionShapeIndex=collision,
@@ -469,15 +467,17 @@ class BulletWorld:
             seen_only=seen_only,
         )
 
-    def _shapes(self, parts: Sequence[Obstacle], color: Color) -> tuple[int, int]:
+    def _shapes(
+        self, parts: Sequence[Obstacle], seen_only: Sequence[Obstacle], color: Color
+    ) -> tuple[int, int]:
         if len(parts) == 1 and (parts[0].position, parts[0].quaternion) == (_ORIGIN, _IDENTITY):
-            return self._single_shape(parts[0], color)
+            return self._single_shape(parts[0], seen_only, color)
         collision = pybullet.createCollisionShapeArray(
             collisionFramePositions=[list(part.position) for part in parts],
             collisionFrameOrientations=[list(part.quaternion) for part in parts],
             **self._geometries(parts),
         )
-        return int(collision), self._visual(parts, color)
+        return int(collision), self._visual([*parts, *seen_only], color)
 
     def _visual(self, parts: Sequence[Obstacle], color: Color) -> int:
         visual = pybullet.createVisualShapeArray(
@@ -498,7 +498,9 @@ class BulletWorld:
             "physicsClientId": self.client,
         }
 
-    def _single_shape(self, part: Obstacle, color: Color) -> tuple[int, int]:
+    def _single_shape(
+        self, part: Obstacle, seen_only: Sequence[Obstacle], color: Color
+    ) -> tuple[int, int]:
         """Return shapes without a compound around them, which contacts are cheaper with."""
         solid = _solid(part)
         common: dict[str, Any] = {
@@ -511,5 +513,7 @@ class BulletWorld:
         collision = pybullet.createCollisionShape(height=length, **common)
         if not self._seen:
             return int(collision), self._unseen
+        if seen_only:
+            return int(collision), self._visual([part, *seen_only], color)
         visual = pybullet.createVisualShape(length=length, rgbaColor=color, **common)
         return int(collision), int(visual)
