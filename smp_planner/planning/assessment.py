@@ -16,7 +16,7 @@ from smp_gym.scene import Obstacle
 from smp_planner.collision.moving import clearance_in_time
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planning.constraints import Reaching
-from smp_planner.planning.forecasting import parted, robot_of
+from smp_planner.planning.forecasting import parted, robot_of, runs_in_time
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
@@ -80,8 +80,7 @@ class _Limits(NamedTuple):
 
 
 def _limits(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> _Limits:
-    clock = problem.clock
-    rest = slice(clock.first(trajectories.shape[1]) if clock.phase > 0.0 else 0, None)
+    rest = problem.rest(trajectories.shape[1])
     executable, duration = problem.body.execution(trajectories[:, rest], settings.duration_limit)
     return _Limits(executable, duration, *constraints_met(problem, trajectories, settings))
 
@@ -115,10 +114,9 @@ def _collisions(problem: Problem, trajectories: FloatArray, settings: PlanSettin
             met = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
             apart = met if apart is None else np.minimum(apart, met)
         whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
-    rest = slice(clock.first(samples) if clock.phase > 0.0 else 0, None)
     if not whole:
         # With all that it carries in the end, the body must stay clear of itself, too.
-        free = free & body.check(trajectories[:, rest], ()).free
+        free = free & body.check(trajectories[:, problem.rest(samples)], ()).free
     if apart is None:
         return _Collisions(free, clearance, free, None)
     met_none = free & (apart >= CLEARANCE_TOLERANCE)
@@ -291,8 +289,7 @@ def make_plan(
         bonus: from homotopy classes and durations of particles to what is added to their merit
             (P,), in units of the log-prior.
     """
-    moving = any(parted(problem, stage, settings)[1] is not None for stage in problem.stages)
-    if verdict is None and (moving or bonus is not None):
+    if verdict is None and (bonus is not None or runs_in_time(problem, settings)):
         verdict = assess(problem, trajectories, settings)
     if verdict is None:
         limits = _limits(problem, trajectories, settings)

@@ -13,7 +13,7 @@ from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["forecast_of", "parted", "robot_of"]
+__all__ = ["forecast_of", "parted", "robot_of", "runs_in_time"]
 
 
 def forecast_of(
@@ -64,3 +64,8 @@ def parted(
         return stage.obstacles, None
     standing = tuple(obstacle for obstacle in stage.obstacles if not is_moving(obstacle))
     return standing, forecast_of(moving, problem.turns, settings)
+
+
+def runs_in_time(problem: Problem, settings: PlanSettings) -> bool:
+    """Return whether some obstacle moves that a robot's trajectory has to pass in time."""
+    return any(parted(problem, stage, settings)[1] is not None for stage in problem.stages)

@@ -27,7 +27,7 @@ from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.constraints import Constraint
-from smp_planner.planning.forecasting import parted
+from smp_planner.planning.forecasting import runs_in_time
 from smp_planner.planning.own_costs import OwnCost
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
@@ -427,7 +427,7 @@ def _on_device(
         return []
     everyone = [(attempt, 1.0 / len(attempts)) for attempt in attempts]
     problems = [attempt.problem for attempt in attempts]
-    if any(parted(p, stage, settings)[1] is not None for p in problems for stage in p.stages):
+    if any(runs_in_time(problem, settings) for problem in problems):
         raise ValueError("obstacles must stand still to be planned around on a device")
     tables = None
     if adaptation.adapt is not None:

@@ -111,6 +111,10 @@ class Problem:
         begin = max(steps.start, self.clock.first(count))
         return slice(begin, steps.stop if steps.stop - begin > 1 else begin)
 
+    def rest(self, count: int) -> slice:
+        """Return the slice of `count` equal steps of the trajectory that are not done."""
+        return slice(self.clock.first(count) if self.clock.phase > 0.0 else 0, None)
+
     @property
     def robot(self) -> RobotModel:
         """The robot that moves.

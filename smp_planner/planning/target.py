@@ -91,8 +91,7 @@ class SceneTarget:
 
     def _rest(self, name: str, count: int) -> slice:
         """Return the steps that a cost sees: limits are kept by what is not done."""
-        clock = self.problem.clock
-        return slice(clock.first(count) if clock.phase > 0.0 and name in self._limits else 0, None)
+        return self.problem.rest(count) if name in self._limits else slice(0, None)
 
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted, as `gradient`."""
