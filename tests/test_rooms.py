@@ -77,6 +77,13 @@ def _violations(path: Path, source: str) -> list[str]:
     return found
 
 
+def test_no_two_files_of_tests_have_one_name() -> None:
+    """pytest imports a test by its file name alone and refuses the second of that name."""
+    names = [path.name for path in sorted((ROOT / "tests").rglob("test_*.py"))]
+    assert len(names) > 100
+    assert [name for name in names if names.count(name) > 1] == []
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_imports(path: Path) -> None:
     assert _violations(path.relative_to(ROOT), path.read_text()) == []
