@@ -102,9 +102,8 @@ def check_episode():
     env = gymnasium.make("smp_gym/Placement-v0")
     scene = sample_scene("Placement", "none", 1)
     goal = np.array(scene.goals[0].position)
-    policy = PlannerPolicy.make("smp", "Placement")
     bare, _ = env.reset(options={"scene": scene})
-    _, state = policy.predict(bare, deterministic=True)
+    _, state = PlannerPolicy.make("promp", "Placement").predict(bare, deterministic=True)
     plan = state[0].plan
     # In the middle of where the hand would go.
     spheres = arm_spheres()
@@ -117,6 +116,7 @@ def check_episode():
     assert env.observation_space.contains(observation)
     (seen,) = decode(observation, "Placement").scene.obstacles
     assert seen.shape == "capsule"
+    policy = PlannerPolicy.make("smp", "Placement")
     _, state = policy.predict(observation, deterministic=True)
     plan = state[0].plan
     assert plan.good.any()
