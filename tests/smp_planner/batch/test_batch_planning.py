@@ -18,9 +18,16 @@ def plans(planner, problems):
     return planner.plan(problems, "cpu")
 
 
-def test_plans_are_as_good_as_without_a_device(planner, problems, plans):
-    for mine, other in zip(plans, planner.plan(problems), strict=True):
-        assert mine.good.mean() >= other.good.mean() - 1.0 / len(mine.good)
+@pytest.fixture(scope="module")
+def plain_plans(planner, problems):
+    """The plans without a device."""
+    return planner.plan(problems)
+
+
+def test_plans_are_as_good_as_without_a_device(plans, plain_plans):
+    # A rounding may cost one of the eight particles.
+    assert sum(plan.good.sum() for plan in plans) >= sum(p.good.sum() for p in plain_plans) - 1
+    for mine, other in zip(plans, plain_plans, strict=True):
         assert set(mine.costs) == set(other.costs)
         assert mine.weights.shape == other.weights.shape
         # Same draws, same directions: the two descend side by side.
@@ -50,21 +57,20 @@ def test_the_check_looks_between_the_samples(planner, problems):
     np.testing.assert_allclose(found.clearance[0], exact.clearance, atol=1.1e-3)
 
 
-def test_a_batch_is_planned_as_its_problems_one_by_one(planner, problems, plans):
-    for problem, plan in zip(problems, plans, strict=True):
-        (alone,) = planner.plan([problem], "cpu")
-        np.testing.assert_allclose(alone.trajectories, plan.trajectories, atol=2e-3)
-        np.testing.assert_array_equal(alone.good, plan.good)
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_batch_is_planned_as_its_problems_one_by_one(planner, problems, plans, index):
+    (alone,) = planner.plan([problems[index]], "cpu")
+    np.testing.assert_allclose(alone.trajectories, plans[index].trajectories, atol=2e-3)
+    np.testing.assert_array_equal(alone.good, plans[index].good)
 
 
-def test_a_cost_of_ones_own_works_on_every_path(planner, problems):
+def test_a_cost_of_ones_own_works_on_every_path(planner, problems, plans, plain_plans):
     def high(configurations):
         return (configurations[..., 1] - 3.0).square().mean(-1)
 
-    for device in (None, "cpu"):
-        (without,) = planner.plan(problems[:1], device)
+    for device, without in ((None, plain_plans[0]), ("cpu", plans[0])):
         (plan,) = planner.plan(problems[:1], device, own={"high": (3000.0, high)})
-        assert plan.costs["high"].shape == (8,)
+        assert plan.costs["high"].shape == (4,)
         before = high(torch.from_numpy(without.trajectories)).mean()
         assert plan.costs["high"].mean() < 0.7 * float(before)
 
