@@ -2,7 +2,7 @@
 
 import gzip
 import json
-from functools import partial
+from functools import cache, partial
 
 import gymnasium
 import numpy as np
@@ -59,6 +59,7 @@ def test_cells_without_a_list_are_refused(tmp_path):
 # Files
 
 
+@cache
 def small(count=6):
     return tuple(
         FrozenEpisode(HALVES[i % 2], 7 + i // 2, sample_scene("Placement", "easy", i), "reference")
@@ -66,6 +67,7 @@ def small(count=6):
     )
 
 
+@cache
 def unsolved(seed=9):
     return FrozenEpisode("placed", seed, sample_scene("Placement", "easy", seed))
 
