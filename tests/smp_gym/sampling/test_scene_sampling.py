@@ -46,7 +46,7 @@ from smp_gym.tasks.placement.rules import (
 )
 
 BLOCKED = ("easy", "medium", "hard")
-SEEDS = range(10)
+SEEDS = range(6)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def drawn():
 
 
 def test_a_scene_is_the_same_in_another_process_and_after_other_scenes(drawn):
-    keys = [(difficulty, seed) for difficulty in DIFFICULTIES for seed in (7, 3)]
+    keys = [(difficulty, seed) for difficulty in DIFFICULTIES for seed in (4,)]
     code = (
         "import json, sys\n"
         "from smp_gym.sampling import sample_with_witness\n"
@@ -317,7 +317,7 @@ def numpy_distance(points, obstacle):
 def test_fresh_draws_seldom_get_through(difficulty, share):
     rng = np.random.default_rng(42)
     solved = 0
-    scenes = 20
+    scenes = 10
     for seed in range(100, 100 + scenes):
         scene, witness = sample_with_witness("Placement", difficulty, seed)
         base = carried(scene, witness)[:, ::5]

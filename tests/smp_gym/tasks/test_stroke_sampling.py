@@ -20,7 +20,7 @@ from smp_gym.tasks.draw_s.scenes import SPECIFICATIONS
 from smp_gym.tasks.draw_s.stroke_trajectories import SCALE, drawing_body, sample_stroke, tip_path
 from smp_gym.tasks.draw_s.strokes import follow, moved
 
-SEEDS = range(10)
+SEEDS = range(6)
 CROWDED = ("easy", "medium", "hard")
 LINE = np.linspace([0.4, -0.3, 0.3], [0.5, 0.4, 0.2], STROKE_POINTS)
 
