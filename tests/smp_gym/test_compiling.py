@@ -1,6 +1,7 @@
 """Compiled kernels: an edit anywhere takes effect, and a broken cache costs time only."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,14 +34,31 @@ print(outer(1.0), outer(1), "hits", sum(outer.stats.cache_hits.values()))
 """
 
 
+def _made(folder):
+    (folder / "toy").mkdir()
+    (folder / "toy/__init__.py").touch()
+    _write(folder, "constants", "OFFSET = 10.0")
+    _write(folder, "callee", CALLEE.format(factor=2.0))
+    _write(folder, "caller", CALLER)
+    return folder
+
+
 @pytest.fixture
 def package(tmp_path):
-    (tmp_path / "toy").mkdir()
-    (tmp_path / "toy/__init__.py").touch()
-    _write(tmp_path, "constants", "OFFSET = 10.0")
-    _write(tmp_path, "callee", CALLEE.format(factor=2.0))
-    _write(tmp_path, "caller", CALLER)
-    return tmp_path
+    return _made(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def first_run(tmp_path_factory):
+    """A folder with the package in which a process has compiled, and what that process gave."""
+    folder = _made(tmp_path_factory.mktemp("compiled"))
+    return folder, _run(folder)
+
+
+@pytest.fixture
+def compiled(first_run, tmp_path):
+    """The package with the entries that a process before has kept."""
+    return shutil.copytree(first_run[0], tmp_path, dirs_exist_ok=True)
 
 
 def _write(folder, name, text):
@@ -81,27 +99,24 @@ def _entries(folder, pattern="toy.*.nbc"):
     return sorted((folder / "toy/__pycache__").glob(f"kernels-*/{pattern}"))
 
 
-def test_kept_for_the_next_process(package):
-    assert _run(package) == ([12.0, 12.0], 0, "")
-    assert _run(package) == ([12.0, 12.0], 2, "")
+def test_kept_for_the_next_process(first_run, compiled):
+    assert first_run[1] == ([12.0, 12.0], 0, "")
+    assert _run(compiled) == ([12.0, 12.0], 2, "")
 
 
-def test_an_edited_callee_in_another_file_counts(package):
-    _run(package)
-    _write(package, "callee", CALLEE.format(factor=3.0))
-    assert _run(package) == ([13.0, 13.0], 0, "")
+def test_an_edited_callee_in_another_file_counts(compiled):
+    _write(compiled, "callee", CALLEE.format(factor=3.0))
+    assert _run(compiled) == ([13.0, 13.0], 0, "")
 
 
-def test_an_edited_constant_of_a_file_without_kernels_counts(package):
-    _run(package)
-    _write(package, "constants", "OFFSET = 20.0")
-    assert _run(package) == ([22.0, 22.0], 0, "")
+def test_an_edited_constant_of_a_file_without_kernels_counts(compiled):
+    _write(compiled, "constants", "OFFSET = 20.0")
+    assert _run(compiled) == ([22.0, 22.0], 0, "")
 
 
-def test_any_edited_kernel_file_counts(package):
-    _run(package)
-    _write(package, "other", "from smp_gym.compiling import kernel\n@kernel\ndef f():\n    pass")
-    assert _run(package)[1] == 0
+def test_any_edited_kernel_file_counts(compiled):
+    _write(compiled, "other", "from smp_gym.compiling import kernel\n@kernel\ndef f():\n    pass")
+    assert _run(compiled)[1] == 0
 
 
 def test_entries_of_few_digests_are_kept(package):
@@ -115,23 +130,21 @@ def test_entries_of_few_digests_are_kept(package):
     assert _run(package)[1] == 2
 
 
-def test_torn_entries_are_compiled_again_with_one_warning(package):
-    _run(package)
-    for path, left in zip(_entries(package, "toy.caller.outer-*.nbc"), (0, -1), strict=True):
+def test_torn_entries_are_compiled_again_with_one_warning(compiled):
+    for path, left in zip(_entries(compiled, "toy.caller.outer-*.nbc"), (0, -1), strict=True):
         path.write_bytes(path.read_bytes()[:left])
-    values, hits, errors = _run(package)
+    values, hits, errors = _run(compiled)
     assert values == [12.0, 12.0]
     assert hits == 0
     assert errors.count("LOGGED") == 1
     assert "cannot be read" in errors
-    assert _run(package) == ([12.0, 12.0], 2, "")
+    assert _run(compiled) == ([12.0, 12.0], 2, "")
 
 
-def test_an_entry_of_another_kernel_does_not_pass(package):
-    _run(package)
-    first, second = _entries(package, "toy.caller.outer-*.nbc")
+def test_an_entry_of_another_kernel_does_not_pass(compiled):
+    first, second = _entries(compiled, "toy.caller.outer-*.nbc")
     first.write_bytes(second.read_bytes())
-    values, hits, _ = _run(package)
+    values, hits, _ = _run(compiled)
     assert values == [12.0, 12.0]
     assert hits == 1
 
@@ -154,16 +167,15 @@ def test_without_any_writable_folder_it_compiles_with_one_warning(package):
     assert "none of" in errors
 
 
-def test_an_entry_that_cannot_be_written_is_no_error(package):
-    _run(package)
-    for path in _entries(package):
+def test_an_entry_that_cannot_be_written_is_no_error(compiled):
+    for path in _entries(compiled):
         path.unlink()
         path.mkdir()
-    values, _, errors = _run(package)
+    values, _, errors = _run(compiled)
     assert values == [12.0, 12.0]
     assert errors.count("LOGGED") == 1
     assert "cannot be kept" in errors
-    assert not list((package / "toy/__pycache__").rglob("tmp*"))
+    assert not list((compiled / "toy/__pycache__").rglob("tmp*"))
 
 
 def test_the_folder_that_the_user_names(package):
