@@ -62,7 +62,8 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the interpreter of a fresh environment with the wheel and this one's dependencies.
 
     A path file lends it the packages that are installed here, which spares installing torch anew;
-    path files inside those are not read, so an editable install here stays invisible.
+    path files inside those are not read, so an editable install here stays invisible. It is lent
+    the kernels that are compiled here, too: an entry counts for equal sources only.
     """
     folder = tmp_path_factory.mktemp("environment")
     venv.create(folder, with_pip=False, symlinks=True)
@@ -74,6 +75,10 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     lent = "\n".join(site.getsitepackages())
     (Path(packages.strip()) / "lent.pth").write_text(lent + "\n")
+    for entry in ROOT.glob("smp_*/__pycache__/kernels-*/*.nbc"):
+        copy = Path(packages.strip()) / entry.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(entry, copy)
     return interpreter
 
 
