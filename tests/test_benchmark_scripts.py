@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from itertools import combinations
@@ -9,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
+from typer.testing import CliRunner, Result
 
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.suites import Cell
@@ -28,6 +31,13 @@ def _run(script: str, *options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def _run_here(script: str, *options: str) -> Result:
+    """Run a script in this process, which spares importing all anew."""
+    app = typer.Typer()
+    app.command()(runpy.run_path(str(ROOT / "scripts" / script))["main"])
+    return CliRunner().invoke(app, options, env={"COLUMNS": "120"})
+
+
 def test_a_list_is_made_and_left_as_it_is(tmp_path: Path) -> None:
     options = ("--cells", "DrawS_easy", "--episodes", "2", "--seed", "40", "--out", str(tmp_path))
     result = _run("make_benchmark.py", *options)
@@ -37,8 +47,8 @@ def test_a_list_is_made_and_left_as_it_is(tmp_path: Path) -> None:
     before = path.read_bytes()
     episodes = load_episodes(Cell("DrawS", "easy"), tmp_path)
     assert episodes[0].scene == Cell("DrawS", "easy").scene(40)
-    again = _run("make_benchmark.py", *options)
-    assert again.returncode == 0, again.stderr
+    again = _run_here("make_benchmark.py", *options)
+    assert again.exit_code == 0, again.output
     assert "DrawS_easy: is there" in again.stdout
     assert path.read_bytes() == before
 
@@ -53,16 +63,16 @@ def test_a_list_is_made_and_left_as_it_is(tmp_path: Path) -> None:
     ],
 )
 def test_lists_that_cannot_be_made(tmp_path: Path, options: tuple[str, str], message: str) -> None:
-    result = _run("make_benchmark.py", *options, "--out", str(tmp_path / "lists"))
-    assert result.returncode == 2
+    result = _run_here("make_benchmark.py", *options, "--out", str(tmp_path / "lists"))
+    assert result.exit_code == 2
     assert message in result.stderr
     assert not (tmp_path / "lists").exists()
 
 
 def test_speed_is_measured_in_several_processes() -> None:
     id = "smp_gym/Placement-v0"
-    result = _run("speed_env.py", "--ids", id, "--processes", "1,2", "--seconds", "0.2")
-    assert result.returncode == 0, result.stderr
+    result = _run_here("speed_env.py", "--ids", id, "--processes", "1,2", "--seconds", "0.2")
+    assert result.exit_code == 0, result.output
     rows = [
         re.findall(r"\d+", line.split(id)[1]) for line in result.stdout.splitlines() if id in line
     ]
@@ -73,8 +83,8 @@ def test_speed_is_measured_in_several_processes() -> None:
 
 def test_a_sheet_shows_its_scenes(tmp_path: Path) -> None:
     options = ("--cells", "Placement_easy", "--scenes", "5")
-    result = _run("draw_scenes.py", *options, "--out", str(tmp_path))
-    assert result.returncode == 0, result.stderr
+    result = _run_here("draw_scenes.py", *options, "--out", str(tmp_path))
+    assert result.exit_code == 0, result.output
     assert [path.name for path in tmp_path.iterdir()] == ["Placement_easy.png"]
     with Image.open(tmp_path / "Placement_easy.png") as image:
         sheet = np.asarray(image.convert("RGB"), np.float64)
@@ -90,7 +100,7 @@ def test_a_sheet_shows_its_scenes(tmp_path: Path) -> None:
 
 
 def test_a_sheet_of_tuning_and_evaluation_scenes_is_refused(tmp_path: Path) -> None:
-    result = _run("draw_scenes.py", "--seed", "99995", "--out", str(tmp_path / "sheets"))
-    assert result.returncode == 2
+    result = _run_here("draw_scenes.py", "--seed", "99995", "--out", str(tmp_path / "sheets"))
+    assert result.exit_code == 2
     assert "100000" in result.stderr
     assert not (tmp_path / "sheets").exists()

@@ -164,9 +164,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
 
 
-def test_the_command_from_start_to_end(
-    rollouts: dict[str, PlayedEpisode], tmp_path: Path
-) -> None:
+def test_the_command_from_start_to_end(rollouts: dict[str, PlayedEpisode], tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = ["--seed", "5", "--episodes", "1", "--jobs", "2", "--out", str(out)]
     result = CliRunner().invoke(app, ["run", *options])
