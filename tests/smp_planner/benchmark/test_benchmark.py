@@ -286,10 +286,11 @@ def test_no_results_is_an_error(tmp_path: Path) -> None:
 
 
 def test_rows_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
-    one = runner.run(manifest(), tmp_path / "one", jobs=1, player=fake_play)
-    two = runner.run(manifest(), tmp_path / "two", jobs=2, player=fake_play)
-    assert without_times(tmp_path / "one", one) == without_times(tmp_path / "two", two)
-    assert [row.key for row in one] == sorted(manifest().episode_keys())
+    keys = sorted(manifest().episode_keys())
+    rows = runner.run(manifest(), tmp_path / "two", jobs=2, player=fake_play)
+    here = [fake_play(key) for key in keys]
+    assert without_times(tmp_path / "two", rows) == without_times(tmp_path, here)
+    assert [row.key for row in rows] == keys
 
 
 def test_workers_compute_on_one_thread(tmp_path: Path) -> None:
@@ -316,7 +317,9 @@ def test_a_run_continues_with_the_missing_episodes_only(tmp_path: Path) -> None:
     assert seen[0] == (4, 8)
     assert seen[-1] == (8, 8)
     assert (tmp_path / "episodes.jsonl").read_bytes().startswith(before)
-    assert len(rows) == 8
+    # One worker writes the rows that two do, and this process.
+    here = [fake_play(key) for key in sorted(manifest(4).episode_keys())]
+    assert without_times(tmp_path, rows) == without_times(tmp_path, here)
     runner.run(manifest(4), tmp_path, player=is_killed_at_seed_two)
 
 
@@ -356,7 +359,7 @@ from test_benchmark import manifest, slow_play
 
 if __name__ == "__main__":
     try:
-        runner.run(manifest(40), Path({out!r}), jobs=2, player=slow_play)
+        runner.run(manifest(40), Path({out!r}), jobs=1, player=slow_play)
     except KeyboardInterrupt:
         sys.exit(130)
 """
