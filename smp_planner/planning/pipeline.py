@@ -262,6 +262,10 @@ def plan_problems(
         until = begin + deadline
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
+    wanted = settings
+    if device is None and _competes(adaptation):
+        overdraw = adaptation.settings.overdraw  # type: ignore[attr-defined]
+        wanted = settings.model_copy(update={"particles": overdraw * settings.particles})
     with Threads(default_threads() if threads is None else threads) as pool, one_thread():
         for number in range(tries):
             if number > 0 and time.perf_counter() > until:
@@ -273,7 +277,7 @@ def plan_problems(
                         attempt.target = SceneTarget(
                             attempt.problem, settings, dict(own), threads=pool
                         )
-                _draw(attempt, prior, settings, 2.0**number)
+                _draw(attempt, prior, wanted, 2.0**number)
             open_ = [attempt for attempt in open_ if not attempt.done]
             if device is None:
                 _adapt(open_, adaptation, settings, until)
@@ -309,6 +313,9 @@ def _adapt(
     """Carry the particles of attempts to their targets, equal parts together."""
     if adaptation.adapt is None:
         return
+    if _competes(adaptation):
+        _adapt_jointly(attempts, adaptation, settings, until)
+        return
     groups: dict[tuple[int, ...], list[tuple[_Attempt, int]]] = {}
     separate = getattr(adaptation.settings, "separate", False)
     for attempt in attempts:
@@ -343,6 +350,38 @@ def _adapt(
         for (attempt, index), adapted in zip(group, latent, strict=True):
             attempt.parts[index] = replace(attempt.parts[index], latent=adapted)
             attempt.stopwatch.add("inference", seconds)
+
+
+def _competes(adaptation: Adaptation) -> bool:
+    """Return whether the particles of a problem are adapted as one population."""
+    return adaptation.jointly is not None and getattr(adaptation.settings, "competes", False)
+
+
+def _adapt_jointly(
+    attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings, until: float
+) -> None:
+    """Carry the particles of each attempt to its target, all parts as one population."""
+    assert adaptation.jointly is not None
+    for number, attempt in enumerate(attempts):
+        begin = time.perf_counter()
+        left = until
+        if until < math.inf:
+            left = begin + (1.0 - _RESERVED) * (until - begin) / (len(attempts) - number)
+        with attempt.stopwatch.stage("inference"):
+            found = adaptation.jointly(
+                [Runs.of([part.primitive], settings.planning_steps) for part in attempt.parts],
+                [part.latent for part in attempt.parts],
+                attempt.target,
+                np.random.default_rng([attempt.problem.seed, 3]),
+                adaptation.settings,
+                settings.particles,
+                left,
+            )
+        attempt.parts = [
+            replace(part, latent=latent)
+            for part, latent in zip(attempt.parts, found, strict=True)
+            if len(latent)
+        ]
 
 
 def _good(
