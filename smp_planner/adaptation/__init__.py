@@ -6,17 +6,19 @@ arm and no scene.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel
+from torch import Tensor
 
 from smp_planner.adaptation.flow import FlowSettings, flow
 from smp_planner.adaptation.optimised_mean import OptimisedMeanSettings, optimised_mean
 from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, Target
 from smp_planner.adaptation.stein import SteinSettings, stein
+from smp_planner.adaptation.tempered import tempered_stein
 from smp_planner.adaptation.variational import VariationalSettings, gaussian_vi
 
 __all__ = [
@@ -50,16 +52,19 @@ class Adaptation:
             are.
         timely: whether `adapt` takes a last argument ``until``, a time of `time.perf_counter`, by
             which it returns what it has.
+        jointly: carries the draws of all parts of one problem to its target together, as
+            `tempered_stein`, where the settings' `competes` says so; None if no settings do.
     """
 
     settings: BaseModel
     adapt: Adapt | None
     timely: bool = False
+    jointly: Callable[..., list[Tensor]] | None = None
 
 
 ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
     {
-        "smp": Adaptation(SteinSettings(), stein, timely=True),
+        "smp": Adaptation(SteinSettings(), stein, timely=True, jointly=tempered_stein),
         "promp": Adaptation(Unadapted(), None),
         "cpromp": Adaptation(VariationalSettings(), gaussian_vi),
         "prompt_o": Adaptation(OptimisedMeanSettings(), optimised_mean),

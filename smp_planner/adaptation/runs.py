@@ -43,6 +43,14 @@ class SceneCosts(Protocol):
         """
         ...
 
+    def evaluate(self, trajectories: FloatArray, progress: float) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted sum (P,) of costs and its gradient (P, T, D), as `gradient`."""
+        ...
+
+    def weighted_sum(self, trajectories: FloatArray) -> FloatArray:
+        """Return the weighted sum (P,) of costs, with the map's edge at its last width."""
+        ...
+
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted."""
         ...

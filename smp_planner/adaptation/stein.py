@@ -9,13 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor
 
 from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
 
-__all__ = ["SteinSettings", "inference_for", "inference_of", "iterate", "stein"]
+__all__ = [
+    "SteinSettings",
+    "edge_progress",
+    "inference_for",
+    "inference_of",
+    "iterate",
+    "stein",
+]
 
 _TIMED = 2
 """Iterations after which it is asked how many more there is time for."""
@@ -46,6 +53,22 @@ class SteinSettings(BaseModel):
         """Whether runs are adapted one by one, for each has its own metric or last iteration."""
         return self.early_stop or named_settings(self.inference).needs_metric
 
+    @property
+    def competes(self) -> bool:
+        """Whether the particles of a problem are one population; see `SVGDSettings.competes`."""
+        return inference_of(self).competes
+
+    @property
+    def overdraw(self) -> int:
+        """Draws of the prior that are wanted for each particle."""
+        return inference_of(self).overdraw
+
+    @model_validator(mode="after")
+    def _stops_or_competes(self) -> SteinSettings:
+        if self.early_stop and inference_of(self).competes:
+            raise ValueError(f"early_stop must be off with inference {self.inference!r}")
+        return self
+
     @field_validator("inference")
     @classmethod
     def _known(cls, name: str) -> str:
@@ -72,6 +95,17 @@ def inference_for(runs: Runs, settings: SteinSettings) -> SVGDSettings:
     return inference
 
 
+def edge_progress(state: State, inference: SVGDSettings) -> float:
+    """Return how far the map's edge has narrowed, 0 to 1.
+
+    Either the edge narrows or the likelihood is annealed: both would be the same thing twice, and
+    weights of particles need a likelihood that nothing but its temperature changes.
+    """
+    if inference.annealed == "likelihood":
+        return 1.0
+    return state.iteration / max(inference.iterations - 1, 1)
+
+
 def iterate(runs: Runs, state: State, target: Target, inference: SVGDSettings) -> State:
     """Return the state after one more iteration, without waiting for the device that it is on.
 
@@ -82,7 +116,7 @@ def iterate(runs: Runs, state: State, target: Target, inference: SVGDSettings) -
         inference: the settings with which `state` began.
     """
     particles = state.particles
-    progress = state.iteration / max(inference.iterations - 1, 1)
+    progress = edge_progress(state, inference)
     if inference.whiten:
         gradient = target.gradient(runs.latent_trajectories(particles), progress)
         prior_score, score = -particles, -runs.latent_gradient(gradient)

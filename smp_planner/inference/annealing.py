@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-__all__ = ["Schedule", "check_steps", "cyclic_annealing", "linear_decay", "tanh_annealing"]
+__all__ = [
+    "Schedule",
+    "check_steps",
+    "cyclic_annealing",
+    "linear_decay",
+    "quadratic_annealing",
+    "tanh_annealing",
+]
 
 Schedule = Callable[[int, int, float], float]
 """Map from iteration, iterations and the fraction that is annealed to a factor in (0, 1]."""
@@ -41,6 +48,27 @@ def tanh_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> fl
     _check(iteration, iterations, fraction)
     progress = min(1.0, (iteration + 1) / (fraction * iterations))
     return math.tanh(_TANH_RATE * progress) / math.tanh(_TANH_RATE)
+
+
+def quadratic_annealing(iteration: int, iterations: int, fraction: float = 0.7) -> float:
+    """Return the factor of the annealed term: it rises as a square and is 1 from `fraction` on.
+
+    As the temperature of a likelihood it rises slowly at first, where a small rise makes most
+    draws of the prior unlikely.
+
+    Args:
+        iteration: 0 .. iterations - 1.
+        iterations: of the whole run.
+        fraction: part of the run that is annealed, in (0, 1].
+
+    Returns:
+        A factor in (0, 1].
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+    _check(iteration, iterations, fraction)
+    return min(1.0, (iteration + 1) / (fraction * iterations)) ** 2
 
 
 def cyclic_annealing(

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import logsumexp
 
 from smp_gym.arrays import FloatArray
+from smp_planner.inference.resampling import resampled, temperature_rise
 
 __all__ = ["LogLikelihood", "Posterior", "SMCSettings", "sample_posterior"]
 
@@ -103,12 +102,12 @@ def sample_posterior(
     temperature, log_evidence, step = 0.0, 0.0, 0.5
     temperatures, acceptance = [], []
     while temperature < 1.0:
-        rise = _rise(values, 1.0 - temperature, settings.effective * settings.particles)
+        rise = temperature_rise(values, 1.0 - temperature, settings.effective * settings.particles)
         last = rise == 1.0 - temperature
         temperature = 1.0 if last else temperature + rise
         log_weights = rise * values
         log_evidence += float(logsumexp(log_weights)) - np.log(settings.particles)
-        chosen = _systematic(np.exp(log_weights - logsumexp(log_weights)), rng)
+        chosen = resampled(log_weights, settings.particles, rng)
         particles, values = particles[chosen], values[chosen]
         shares = []
         for _ in range(settings.last_moves if last else settings.moves):
@@ -135,21 +134,3 @@ def _evaluate(log_likelihood: LogLikelihood, particles: FloatArray) -> FloatArra
             f"{values.shape}, {np.count_nonzero(~np.isfinite(values))} of them not finite"
         )
     return values
-
-
-def _rise(values: FloatArray, left: float, effective: float) -> float:
-    """Return the rise of the temperature, at most what is `left`."""
-
-    def excess(rise: float) -> float:
-        log_weights = rise * values
-        size = np.exp(2.0 * logsumexp(log_weights) - logsumexp(2.0 * log_weights))
-        return float(size - effective)
-
-    return left if excess(left) >= 0.0 else float(brentq(excess, 0.0, left, rtol=1e-6))
-
-
-def _systematic(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return the indices (P,) that systematic resampling chooses by weights (P,), sum 1."""
-    count = len(weights)
-    positions = (rng.uniform() + np.arange(count)) / count
-    return np.minimum(np.searchsorted(np.cumsum(weights), positions), count - 1)

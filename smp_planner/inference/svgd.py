@@ -25,6 +25,7 @@ from smp_planner.inference.annealing import (
     check_steps,
     cyclic_annealing,
     linear_decay,
+    quadratic_annealing,
     tanh_annealing,
 )
 from smp_planner.inference.optimizers import AdaGrad, Adam, Optimizer
@@ -38,6 +39,7 @@ from smp_planner.inference.stein_kernels import (
 )
 
 __all__ = [
+    "LEAPFROGS",
     "SETTINGS",
     "SVGDSettings",
     "State",
@@ -47,6 +49,10 @@ __all__ = [
     "stein_direction",
     "step",
 ]
+
+
+LEAPFROGS = 5
+"""Steps of the flow in one move of Hamiltonian Monte Carlo."""
 
 
 class State(NamedTuple):
@@ -89,9 +95,16 @@ class SVGDSettings:
             `converged`.
         repulsion: whether particles see one another. Without, each climbs its own score: dropping
             only ∇k and keeping the average over particles would draw them all together.
+        overdraw: draws of the prior for each particle; those that begin are chosen among them by
+            the likelihood, at the temperature at which so many are worth choosing.
+        resampling: effective share of the particles below which they are resampled by their weights
+            while the likelihood is annealed, as in sequential Monte Carlo; 0 never does.
+        moves: of Hamiltonian Monte Carlo at the end, which leave the posterior as it is and give
+            back the spread that a finite set lacks. It takes `LEAPFROGS` gradients for each.
 
     Raises:
-        ValueError: a number is out of range.
+        ValueError: a number is out of range, or `overdraw`, `resampling` or `moves` are asked for
+            where particles are not whitened, or `resampling` where the likelihood is not annealed.
     """
 
     whiten: bool = True
@@ -105,6 +118,9 @@ class SVGDSettings:
     annealed: Literal["score", "likelihood"] = "score"
     tolerance: float = 0.01
     repulsion: bool = True
+    overdraw: int = 1
+    resampling: float = 0.0
+    moves: int = 0
 
     def __post_init__(self) -> None:
         check_steps(self.step_size, self.final_step, self.iterations)
@@ -114,6 +130,21 @@ class SVGDSettings:
             raise ValueError(f"tolerance must be positive and finite, got {self.tolerance}")
         if self.annealed not in ("score", "likelihood"):
             raise ValueError(f"annealed must be 'score' or 'likelihood', got {self.annealed!r}")
+        if self.overdraw < 1:
+            raise ValueError(f"overdraw must be at least 1, got {self.overdraw}")
+        if not 0.0 <= self.resampling < 1.0:
+            raise ValueError(f"resampling must be in [0, 1), got {self.resampling}")
+        if self.moves < 0:
+            raise ValueError(f"moves must be at least 0, got {self.moves}")
+        if self.competes and not self.whiten:
+            raise ValueError("overdraw, resampling and moves need particles that are whitened")
+        if (self.overdraw > 1 or self.resampling > 0.0) and self.annealed != "likelihood":
+            raise ValueError("annealed must be 'likelihood' where particles are chosen by it")
+
+    @property
+    def competes(self) -> bool:
+        """True if particles are chosen by their likelihood, or moved by more than a direction."""
+        return self.overdraw > 1 or self.resampling > 0.0 or self.moves > 0
 
     @property
     def needs_metric(self) -> bool:
@@ -133,6 +164,17 @@ class SVGDSettings:
 
 _DEFAULT = SVGDSettings()
 
+_TEMPERED = SVGDSettings(
+    optimizer=Adam(momentum=0.7, decay=0.9),
+    step_size=0.35,
+    iterations=50,
+    schedule=quadratic_annealing,
+    annealed="likelihood",
+    overdraw=4,
+    resampling=0.5,
+    moves=4,
+)
+
 SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
     {
         "default": _DEFAULT,
@@ -147,6 +189,10 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
         "quick": replace(
             _DEFAULT, optimizer=Adam(momentum=0.7, decay=0.9), step_size=0.35, iterations=50
         ),
+        "tempered": _TEMPERED,
+        "no_choice": replace(_TEMPERED, overdraw=1),
+        "no_resampling": replace(_TEMPERED, resampling=0.0),
+        "no_moves": replace(_TEMPERED, moves=0),
         "no_repulsion": replace(_DEFAULT, repulsion=False),
         "raw": replace(_DEFAULT, whiten=False),
         "median_over_log": replace(_DEFAULT, kernel=RBF(median_over_log_bandwidth)),
@@ -157,11 +203,12 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
     }
 )
 """The settings that are compared: ours, the paper's, ours in half as many iterations (averages of
-fewer iterations, so that what was learned of wide edges is forgotten, and longer steps), ours with
-particles on their own, and ours
-with one thing changed: raw weights, the paper's bandwidth, another kernel (inverse multi-quadric,
-or of the distance of paths, whose metric `SVGDSettings.with_metric` gives), no annealing, or cycles
-of it."""
+fewer iterations, so that what was learned of wide edges is forgotten, and longer steps), particles
+as a population that competes on its path from the prior to the posterior ("tempered"), and the same
+without the choice among draws, without resampling, without the moves at the end. The rest is ours
+with one thing changed: particles on their own, raw weights, the paper's bandwidth, another kernel
+(inverse multi-quadric, or of the distance of paths, whose metric `SVGDSettings.with_metric` gives),
+no annealing, or cycles of it."""
 
 
 def named_settings(name: str) -> SVGDSettings:

@@ -283,9 +283,8 @@ class ProMP:
         If Σ_w is singular, this is the density on its support, of the nearest point of the support.
         """
         latent = self.whiten(weights)
-        log_scale = self._stds().log().sum()
         constant = 0.5 * self.rank * math.log(2.0 * math.pi)
-        return -0.5 * latent.square().sum(-1) - log_scale - constant
+        return -0.5 * latent.square().sum(-1) - self.log_volume - constant
 
     def score(self, weights: Tensor) -> Tensor:
         """Return the gradient of `log_prob`, (..., K*D) -> (..., K*D); it lies in the support."""
@@ -324,6 +323,11 @@ class ProMP:
                 for d in checked
             ]
         )
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the product of the standard deviations of Σ_w on its support."""
+        return float(self._stds().log().sum())
 
     def whiten(self, weights: Tensor) -> Tensor:
         """Return the standard normals z of weights μ_w + L z, (..., K*D) -> (..., r)."""

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from smp_gym.arrays import BoolArray
+from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.adaptation import Adaptation, Runs, SteinSettings
 from smp_planner.movement_primitives import ProMP
@@ -92,11 +92,15 @@ class Part:
 
     Attributes:
         component: index of the component.
-        branch: numbers that tell it from others of its component; none if it is the only one.
+        branch: numbers that tell it from others of its component and width; none if it is the only
+            one.
         primitive: the component, conditioned.
         latent: (P_c, r) particles in its whitened coordinates.
         memory: what the optimiser remembers of them; None if nothing.
         iteration: how many iterations of inference they went through that are remembered.
+        width: factor of the added deviation that the component was widened by.
+        log_volume: logarithm of the primitive's standard deviations' product, less that of the
+            narrowest part.
     """
 
     component: int
@@ -105,6 +109,13 @@ class Part:
     latent: Tensor
     memory: Any = None
     iteration: int = 0
+    width: float = 1.0
+    log_volume: float = 0.0
+
+    @property
+    def surprise(self) -> FloatArray:
+        """(P_c,) -log of the density of the particles under the primitive, less a constant."""
+        return np.asarray(0.5 * self.latent.square().sum(-1).numpy() + self.log_volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,28 +185,40 @@ def conditioned_parts(
         UnreachableError: no component reaches a goal.
     """
     constraints = problem.constraints if settings.modulation == "exact" else ()
-    posteriors: dict[int, list[tuple[ProMP, float]]] = {}
+    found: list[tuple[int, float, list[tuple[ProMP, float]]]] = []
     unreachable: UnreachableError | None = None
-    for index, component in enumerate(prior.components(width)):
-        try:
-            posteriors[index] = condition(component, constraints, settings)
-        except UnreachableError as error:
-            unreachable = error
-    if not posteriors:
+    for factor in settings.widths:
+        for index, component in enumerate(prior.components(width * factor)):
+            try:
+                found.append((index, factor, condition(component, constraints, settings)))
+            except UnreachableError as error:
+                unreachable = error
+    if not found:
         assert unreachable is not None
         raise unreachable
-    shares = [float(prior.used.shares[index]) for index in posteriors]
+    shares = [float(prior.used.shares[index]) for index, _, _ in found]
+    volumes = [branches[0][0].log_volume for _, _, branches in found]
     rng = np.random.default_rng(problem.seed)
     parts = []
-    for (index, branches), count in zip(
-        posteriors.items(), shared_out(settings.particles, shares), strict=True
+    for (index, factor, branches), count in zip(
+        found, shared_out(settings.particles, shares), strict=True
     ):
         counts = shared_out(count, [share for _, share in branches])
         for number, ((primitive, _), drawn) in enumerate(zip(branches, counts, strict=True)):
             if drawn:
                 latent = torch.from_numpy(rng.standard_normal((drawn, primitive.rank)))
                 branch = (number,) if len(branches) > 1 else ()
-                parts.append(Part(index, branch, primitive, latent))
+                volume = primitive.log_volume - min(volumes) if len(settings.widths) > 1 else 0.0
+                parts.append(
+                    Part(
+                        index,
+                        branch,
+                        primitive,
+                        latent,
+                        width=width * factor,
+                        log_volume=volume,
+                    )
+                )
     return parts
 
 
@@ -262,6 +285,10 @@ def plan_problems(
         until = begin + deadline
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
+    wanted = settings
+    if device is None and _competes(adaptation):
+        overdraw = adaptation.settings.overdraw  # type: ignore[attr-defined]
+        wanted = settings.model_copy(update={"particles": overdraw * settings.particles})
     with Threads(default_threads() if threads is None else threads) as pool, one_thread():
         for number in range(tries):
             if number > 0 and time.perf_counter() > until:
@@ -273,7 +300,7 @@ def plan_problems(
                         attempt.target = SceneTarget(
                             attempt.problem, settings, dict(own), threads=pool
                         )
-                _draw(attempt, prior, settings, 2.0**number)
+                _draw(attempt, prior, wanted, 2.0**number)
             open_ = [attempt for attempt in open_ if not attempt.done]
             if device is None:
                 _adapt(open_, adaptation, settings, until)
@@ -309,6 +336,9 @@ def _adapt(
     """Carry the particles of attempts to their targets, equal parts together."""
     if adaptation.adapt is None:
         return
+    if _competes(adaptation):
+        _adapt_jointly(attempts, adaptation, settings, until)
+        return
     groups: dict[tuple[int, ...], list[tuple[_Attempt, int]]] = {}
     separate = getattr(adaptation.settings, "separate", False)
     for attempt in attempts:
@@ -321,7 +351,9 @@ def _adapt(
         targets = [attempt.target for attempt, _ in group]
         runs = Runs.of([part.primitive for part in parts], settings.planning_steps)
         rngs = [
-            np.random.default_rng([attempt.problem.seed, 3, part.component, *part.branch])
+            np.random.default_rng(
+                [attempt.problem.seed, 3, part.component, *part.branch, *_nth(part.width)]
+            )
             for (attempt, _), part in zip(group, parts, strict=True)
         ]
 
@@ -343,6 +375,43 @@ def _adapt(
         for (attempt, index), adapted in zip(group, latent, strict=True):
             attempt.parts[index] = replace(attempt.parts[index], latent=adapted)
             attempt.stopwatch.add("inference", seconds)
+
+
+def _nth(width: float) -> tuple[int, ...]:
+    """Return what a width adds to the seed of a part's generator."""
+    return () if width == 1.0 else (round(1000 * width),)
+
+
+def _competes(adaptation: Adaptation) -> bool:
+    """Return whether the particles of a problem are adapted as one population."""
+    return adaptation.jointly is not None and getattr(adaptation.settings, "competes", False)
+
+
+def _adapt_jointly(
+    attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings, until: float
+) -> None:
+    """Carry the particles of each attempt to its target, all parts as one population."""
+    assert adaptation.jointly is not None
+    for number, attempt in enumerate(attempts):
+        begin = time.perf_counter()
+        left = until
+        if until < math.inf:
+            left = begin + (1.0 - _RESERVED) * (until - begin) / (len(attempts) - number)
+        with attempt.stopwatch.stage("inference"):
+            found = adaptation.jointly(
+                [Runs.of([part.primitive], settings.planning_steps) for part in attempt.parts],
+                [part.latent for part in attempt.parts],
+                attempt.target,
+                np.random.default_rng([attempt.problem.seed, 3]),
+                adaptation.settings,
+                settings.particles,
+                left,
+            )
+        attempt.parts = [
+            replace(part, latent=latent)
+            for part, latent in zip(attempt.parts, found, strict=True)
+            if len(latent)
+        ]
 
 
 def _good(
@@ -376,8 +445,7 @@ def _plan_of(
     """
     parts, primitive = attempt.parts, prior.single
     weights = _weights(attempt)
-    distance = torch.cat([0.5 * part.latent.square().sum(-1) for part in parts])
-    costs = {"prior": distance.numpy()}
+    costs = {"prior": np.concatenate([part.surprise for part in parts])}
     if finished is not None:
         costs |= finished.costs
     elif attempt.target is not None:

@@ -53,9 +53,10 @@ class Prior:
 
     def components(self, width: float = 1.0) -> list[ProMP]:
         """Return the components of `used`, with `width` (at least 1) times the added deviation."""
-        return [self._widened(component, width) for component in self.used.components]
+        return [self.widened(component, width) for component in self.used.components]
 
-    def _widened(self, primitive: ProMP, width: float) -> ProMP:
+    def widened(self, primitive: ProMP, width: float) -> ProMP:
+        """Return a primitive of it with `width` (at least 1) times the added deviation."""
         if width <= 1.0:
             return primitive
         added = self.settings.smooth_std * np.sqrt(width**2 - 1.0)

@@ -227,7 +227,12 @@ def replan(
             components = prior.components()
             try:
                 parts = [
-                    _reconditioned(part, components[part.component], problem, settings)
+                    _reconditioned(
+                        part,
+                        prior.widened(components[part.component], part.width),
+                        problem,
+                        settings,
+                    )
                     for part in state.parts
                 ]
             except UnreachableError as error:
@@ -248,7 +253,7 @@ def replan(
             with watch.stage("inference"):
                 parts = [_continued(part, target, own, settings, iterations) for part in parts]
         weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
-        costs["prior"] = torch.cat([0.5 * p.latent.square().sum(-1) for p in parts]).numpy()
+        costs["prior"] = np.concatenate([part.surprise for part in parts])
         with watch.stage("verification"):
             primitive = prior.single
             trajectories = primitive.trajectory(weights, settings.samples).numpy()

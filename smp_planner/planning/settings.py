@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 __all__ = ["PlanSettings", "PriorSettings"]
 
@@ -69,6 +71,9 @@ class PlanSettings(BaseModel):
         forecast_growth: m by which such an obstacle is enlarged for each metre that it is expected
             to have gone.
         forecast_margin: m, least and greatest margin of such an obstacle.
+        widths: factors, at least 1, of the prior's added deviation, ascending: the prior is a
+            mixture of primitives, of one for each width, of equal shares. A narrow one keeps near
+            to the demonstrations, a wide one gets around what they never met.
         retries: how often a problem without a good particle is tried again, each time with twice
             the added deviation.
     """
@@ -89,9 +94,19 @@ class PlanSettings(BaseModel):
     modulation: Literal["exact", "likelihood"] = "exact"
     via_share: float = Field(default=0.5, ge=0.0, le=1.0)
     velocity_weight: float = Field(default=10.0, ge=0.0, allow_inf_nan=False)
-    limit_weight: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
+    limit_weight: float = Field(default=3000.0, ge=0.0, allow_inf_nan=False)
     duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
     forecast_horizon: float = Field(default=2.0, ge=0.0, allow_inf_nan=False)
     forecast_growth: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
     forecast_margin: tuple[float, float] = (0.01, 0.05)
+    widths: tuple[float, ...] = (1.0,)
     retries: int = Field(default=1, ge=0)
+
+    @field_validator("widths")
+    @classmethod
+    def _ascending(cls, widths: tuple[float, ...]) -> tuple[float, ...]:
+        if not (widths and widths[0] >= 1.0 and np.isfinite(widths).all()):
+            raise ValueError(f"widths must be finite numbers of at least 1, got {widths}")
+        if any(b <= a for a, b in pairwise(widths)):
+            raise ValueError(f"widths must ascend, got {widths}")
+        return widths

@@ -89,6 +89,10 @@ class SceneTarget:
         """
         return self._weighted(trajectories, self._width(progress))[1]
 
+    def evaluate(self, trajectories: FloatArray, progress: float) -> ValueAndGradient:
+        """Return the weighted sum (P,) of costs and its gradient (P, T, D), as `gradient`."""
+        return self._weighted(trajectories, self._width(progress))
+
     def _rest(self, name: str, count: int) -> slice:
         """Return the steps that a cost sees: limits are kept by what is not done."""
         return self.problem.rest(count) if name in self._limits else slice(0, None)

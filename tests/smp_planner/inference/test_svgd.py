@@ -278,10 +278,16 @@ def test_single_precision_stays_single_precision():
     assert step(init(score, settings), score, score, settings).particles.dtype == torch.float32
 
 
+def _changed(other, settings):
+    return {k for k, v in vars(other).items() if v != vars(settings)[k]}
+
+
 def test_the_named_settings_change_what_they_say():
-    default = named_settings("default")
+    default, tempered = named_settings("default"), named_settings("tempered")
+    competing = {"annealed", "schedule", "overdraw", "resampling", "moves"}
     changes = {
         "quick": {"optimizer", "step_size", "iterations"},
+        "tempered": {"optimizer", "step_size", "iterations"} | competing,
         "no_repulsion": {"repulsion"},
         "raw": {"whiten"},
         "median_over_log": {"kernel"},
@@ -290,10 +296,12 @@ def test_the_named_settings_change_what_they_say():
         "no_annealing": {"annealing"},
         "cyclic": {"schedule"},
     }
-    assert set(SETTINGS) == {"default", "paper", *changes}
+    without = {"no_choice": "overdraw", "no_resampling": "resampling", "no_moves": "moves"}
+    assert set(SETTINGS) == {"default", "paper", *changes, *without}
     for name, changed in changes.items():
-        other = named_settings(name)
-        assert {k for k, v in vars(other).items() if v != vars(default)[k]} == changed
+        assert _changed(named_settings(name), default) == changed
+    for name, left_out in without.items():
+        assert _changed(named_settings(name), tempered) == {left_out}
 
 
 def test_the_schedule_scales_the_annealed_part():
@@ -321,9 +329,7 @@ def test_a_metric_is_for_a_metric_kernel():
 
 
 def test_an_unknown_setting_lists_those_that_exist():
-    with pytest.raises(
-        ValueError, match=r"one of default, paper, quick, no_repulsion, .*; got 'fast'"
-    ):
+    with pytest.raises(ValueError, match=r"one of default, paper, quick, tempered, .*; got 'fast'"):
         named_settings("fast")
 
 

@@ -254,7 +254,9 @@ def test_a_batch_of_unequal_problems_gives_the_plans_of_each(smp, scene, plan):
     assert plans[2].good[plans[2].chosen]
 
 
-@pytest.mark.parametrize("own", [{"inference": "path_kernel"}, {"early_stop": True}])
+@pytest.mark.parametrize(
+    "own", [{"inference": "path_kernel"}, {"inference": "default", "early_stop": True}]
+)
 def test_runs_with_a_metric_or_an_end_of_their_own_do_not_see_the_batch(own, scene):
     planner = make_planner("smp", "Placement", settings={"iterations": 30, "retries": 0, **own})
     problems = [problem_of(scene), problem_of(sample_scene("Placement", "easy", 5), seed=9)]

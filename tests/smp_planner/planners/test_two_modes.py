@@ -39,12 +39,11 @@ def sides_reached(problem, ends):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_each_component_goes_to_its_own_side(smp, envs, seed):
+def test_a_particle_of_either_component_goes_to_its_own_side(smp, envs, seed):
     observation, _ = envs["easy"].reset(seed=seed)
     problem = problem_from(decode(observation, TASK), seed=seed)
     (plan,) = smp.planner.plan([problem])
     assert plan.trajectories.shape == (42, 200, 6)
-    assert [int((plan.components == c).sum()) for c in (0, 1)] == [21, 21]
     sides = sides_reached(problem, plan.trajectories[:, -1])
     good = plan.good & (plan.goal_error < 0.005)
     assert (sides[good] == plan.components[good]).all()
@@ -93,7 +92,6 @@ def test_plain_draws_are_shared_out_too_and_one_particle_is_enough(envs):
     observation, _ = envs["easy"].reset(seed=0)
     problem = problem_from(decode(observation, TASK), seed=0)
     (plan,) = make_planner("promp", TASK).plan([problem])
-    assert [int((plan.components == c).sum()) for c in (0, 1)] == [21, 21]
     (single,) = make_planner("promp", TASK, settings={"particles": 1}).plan([problem])
     assert len(single.components) == 1
 

@@ -19,7 +19,8 @@ PHASE = 0.37
 
 @pytest.fixture(scope="module")
 def policy():
-    return PlannerPolicy.make("smp", "Placement", settings={"particles": 14, "samples": 100})
+    settings = {"particles": 14, "samples": 100, "widths": (1.0,)}
+    return PlannerPolicy.make("smp", "Placement", settings=settings)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,228 @@
+"""Particles of all parts of a problem as one population, from the prior to the posterior.
+
+SVGD moves particles and keeps all of them: what begins in a dead end stays in it, and the shares of
+modes are those of the start. Here the likelihood's temperature rises from 0 to 1 while SVGD
+follows it. With each rise particles are weighed by what it makes of them, across components and
+branches of the prior, too, and resampled once few carry the weight: sequential Monte Carlo (Del
+Moral, Doucet & Jasra 2006) with SVGD as its moves. Hamiltonian Monte Carlo at the end gives the set
+the spread of the posterior.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from smp_gym.arrays import FloatArray
+from smp_planner.adaptation.runs import Runs, SceneCosts
+from smp_planner.adaptation.stein import SteinSettings, inference_for
+from smp_planner.inference import State, SVGDSettings, step
+from smp_planner.inference.hamiltonian import Evaluated, hamiltonian_moves
+from smp_planner.inference.resampling import effective_size, resampled, temperature_rise
+from smp_planner.inference.svgd import LEAPFROGS
+
+__all__ = ["tempered_stein"]
+
+_JITTER = 0.2
+"""Share of fresh noise in a copy: z' = sqrt(1 - s²) z + s ξ, which keeps the prior as it is."""
+
+_FIRST_ANGLE = 0.08
+"""Step, rad, with which Hamiltonian moves begin; each particle's own follows its acceptance."""
+
+_TIMED = 2
+"""Iterations after which it is asked how many more there is time for."""
+
+
+@dataclass(eq=False)
+class _Part:
+    """The particles (P_c, r_c) that share a prior, with their potential -log p(O|w)."""
+
+    runs: Runs
+    scene: SceneCosts
+    inference: SVGDSettings
+    particles: FloatArray
+    value: FloatArray
+    gradient: FloatArray
+    memory: Any = None
+
+    @classmethod
+    def of(cls, runs: Runs, latent: Tensor, scene: SceneCosts, inference: SVGDSettings) -> _Part:
+        particles = latent.numpy()
+        empty = np.empty(0)
+        part = cls(runs, scene, inference, particles, empty, empty)
+        part.memory = inference.optimizer.init(latent[None])
+        return part
+
+    def potential(self, particles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return -log p(O|w) (P,) of whitened particles (P, r) and its gradient (P, r)."""
+        paths = self.runs.latent_trajectories(torch.from_numpy(particles)[None])
+        value, gradient = self.scene.evaluate(paths[0].numpy(), 1.0)
+        return value, self.runs.latent_gradient(torch.from_numpy(gradient)[None])[0].numpy()
+
+    def evaluate(self) -> None:
+        self.value, self.gradient = self.potential(self.particles)
+
+    def weigh(self) -> None:
+        """Find the potential's value alone."""
+        paths = self.runs.latent_trajectories(torch.from_numpy(self.particles)[None])
+        self.value = self.scene.weighted_sum(paths[0].numpy())
+
+    def descend(self, temperature: float, iteration: int) -> None:
+        """Take one iteration of SVGD at a temperature."""
+        particles = torch.from_numpy(self.particles)[None]
+        score = torch.from_numpy(self.gradient)[None] * -temperature
+        # The temperature is in the score already.
+        settings = replace(self.inference, annealing=0.0)
+        state = step(State(particles, self.memory, iteration), -particles, score, settings)
+        self.particles, self.memory = state.particles[0].numpy(), state.memory
+
+    def take(self, chosen: NDArray[np.intp], rng: np.random.Generator) -> None:
+        """Keep the particles chosen, ascending; copies of one are set apart from it."""
+        particles = self.particles[chosen]
+        copies = np.flatnonzero(np.diff(chosen, prepend=-1) == 0)
+        noise = rng.standard_normal((len(copies), particles.shape[1]))
+        particles[copies] = math.sqrt(1.0 - _JITTER**2) * particles[copies] + _JITTER * noise
+        self.particles, self.memory = particles, _taken(self.memory, chosen)
+
+    def move(self, moves: int, rng: np.random.Generator) -> None:
+        """Move the particles by Hamiltonian Monte Carlo."""
+        moved, _ = hamiltonian_moves(
+            Evaluated(self.particles, self.value, self.gradient),
+            self.potential,
+            rng,
+            moves=moves,
+            leapfrogs=LEAPFROGS,
+            step=_FIRST_ANGLE,
+        )
+        self.particles = moved.particles
+
+
+def _taken(memory: Any, chosen: NDArray[np.intp]) -> Any:
+    """Return what an optimiser remembers of the particles chosen."""
+    if isinstance(memory, Tensor):
+        return memory[:, torch.from_numpy(chosen)]
+    if isinstance(memory, tuple):
+        return tuple(_taken(value, chosen) for value in memory)
+    return memory
+
+
+class _Population:
+    """The particles of all parts, which compete."""
+
+    def __init__(self, parts: Sequence[_Part], rng: np.random.Generator) -> None:
+        self.parts, self.rng = parts, rng
+        self.temperature = 0.0
+        self._log_weights = np.zeros(sum(len(part.particles) for part in parts))
+
+    @property
+    def present(self) -> list[_Part]:
+        """The parts that have particles."""
+        return [part for part in self.parts if len(part.particles)]
+
+    def choose(self, count: int) -> None:
+        """Choose so many of the draws, at the temperature at which as many are worth choosing."""
+        for part in self.present:
+            part.weigh()
+        values = self._values()
+        if count < len(values):
+            self.temperature = temperature_rise(-values, 1.0, count)
+        self._resample(-self.temperature * values, count)
+
+    def rise(self, temperature: float, effective_share: float) -> None:
+        """Raise the temperature; resample where too few particles carry the weight."""
+        if temperature <= self.temperature:
+            return
+        self._log_weights -= (temperature - self.temperature) * self._values()
+        self.temperature = temperature
+        count = len(self._log_weights)
+        if effective_size(self._log_weights) < effective_share * count:
+            self._resample(self._log_weights, count)
+            for part in self.present:
+                part.evaluate()
+
+    def _values(self) -> FloatArray:
+        return np.concatenate([part.value for part in self.present])
+
+    def _resample(self, log_weights: FloatArray, count: int) -> None:
+        chosen = resampled(log_weights, count, self.rng)
+        first = 0
+        for part in self.present:
+            last = first + len(part.particles)
+            of_part = chosen[(chosen >= first) & (chosen < last)] - first
+            part.take(of_part, self.rng)
+            first = last
+        self._log_weights = np.zeros(count)
+
+
+def tempered_stein(
+    runs: Sequence[Runs],
+    latent: Sequence[Tensor],
+    scene: SceneCosts,
+    rng: np.random.Generator,
+    settings: SteinSettings,
+    count: int,
+    until: float = math.inf,
+) -> list[Tensor]:
+    """Return the particles of the parts of one problem after the last move.
+
+    Where time runs short there are fewer iterations, as in `stein`, and no moves once it is over.
+
+    Args:
+        runs: the prior of each part, one run each.
+        latent: of each part, draws (N_c, r_c) in whitened coordinates.
+        scene: the costs.
+        rng: source of all randomness.
+        settings: of the run.
+        count: P, particles of all parts together, at most ΣN_c.
+        until: time of `time.perf_counter` by which to return.
+
+    Returns:
+        (P_c, r_c) of each part, P in sum; a part that no particle is left of has none.
+
+    Raises:
+        ValueError: a gradient is not finite.
+    """
+    inferences = [inference_for(run, settings) for run in runs]
+    population = _Population(
+        [
+            _Part.of(run, draws, scene, inference)
+            for run, draws, inference in zip(runs, latent, inferences, strict=True)
+        ],
+        rng,
+    )
+    inference = inferences[0]
+    if sum(len(draws) for draws in latent) > count:
+        population.choose(count)
+    begin, iterations = time.perf_counter(), inference.iterations
+    iteration = 0
+    while iteration < iterations:
+        if until < math.inf and iteration >= _TIMED:
+            now = time.perf_counter()
+            room = int((until - now) * iteration / (now - begin))
+            if room < 1:
+                break
+            iterations = min(iterations, iteration + room)
+        for part in population.present:
+            part.evaluate()
+        if inference.annealing > 0.0:
+            temperature = inference.schedule(iteration, iterations, inference.annealing)
+        else:
+            temperature = 1.0
+        population.rise(temperature, inference.resampling)
+        for part in population.present:
+            part.inference = replace(part.inference, iterations=iterations)
+            part.descend(population.temperature, iteration)
+        iteration += 1
+    for part in population.present:
+        part.evaluate()
+        if inference.moves and time.perf_counter() < until:
+            part.move(inference.moves, rng)
+    return [torch.from_numpy(part.particles) for part in population.parts]
