@@ -56,7 +56,7 @@ _START_SHIFT = (-0.06, 0.0, 0.06)
 
 _FREE, _COLLIDING, _FAINT, _DARK = "#7fa3ee", "#ea8585", "#b9c6de", "#4b5563"
 _MODES = ("#f59e0b", "#059669")
-_BEFORE: dict[str, Any] = {"iterations": 1, "step_size": 1e-12, "retries": 0}
+_BEFORE: dict[str, Any] = {"inference": "quick", "iterations": 1, "step_size": 1e-12, "retries": 0}
 _TASK_TITLES = {
     "DrawS": "Draw-S",
     "Placement": "Placement",
@@ -91,8 +91,8 @@ def _lines(scene: Scene, plan: Plan) -> list[SceneLine]:
 def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
     """Draw the particles of each scene before and after adaptation, and write a PNG (Fig. 3).
 
-    Before are draws of the primitive conditioned on start, goal and via-points: the same ones that
-    Stein's method then carries on.
+    Before are draws of the primitive conditioned on start, goal and via-points, as many as there
+    are particles after.
 
     Args:
         scenes: one column each.

@@ -120,6 +120,7 @@ def test_problems_of_different_tasks_are_refused(planner, problems):
 def test_methods_and_settings_that_no_device_knows_are_refused(problems):
     with pytest.raises(ValueError, match="only the methods 'smp' and 'promp'"):
         make_planner("cpromp", "Placement").plan(problems, "cpu")
-    for settings in ({"early_stop": True}, {"inference": "path_kernel"}, {"inference": "raw"}):
+    early = {"early_stop": True, "inference": "quick"}
+    for settings in (early, {"inference": "path_kernel"}, {"inference": "raw"}):
         with pytest.raises(ValueError, match="to plan on a device"):
             make_planner("smp", "Placement", settings=settings).plan(problems, "cpu")

@@ -92,6 +92,7 @@ def test_plain_draws_are_shared_out_too_and_one_particle_is_enough(envs):
     observation, _ = envs["easy"].reset(seed=0)
     problem = problem_from(decode(observation, TASK), seed=0)
     (plan,) = make_planner("promp", TASK).plan([problem])
+    assert [int((plan.components == c).sum()) for c in (0, 1)] == [21, 21]
     (single,) = make_planner("promp", TASK, settings={"particles": 1}).plan([problem])
     assert len(single.components) == 1
 

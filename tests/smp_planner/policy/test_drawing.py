@@ -231,7 +231,7 @@ def test_a_retry_so_wide_that_it_misses_the_goal_ends_the_tries(env, demonstrati
     observation, _ = env.reset(options={"scene": scene.model_copy(update={"obstacles": (wall,)})})
     problem = problem_from(decode(observation, "DrawS"), 0, checkpoint_phases(demonstrations))
     stiff = {"basis_functions": 15, "smooth_length_scale": 0.2}
-    quick = {"iterations": 2, "particles": 4, "retries": 7}
+    quick = {"inference": "quick", "iterations": 2, "particles": 4, "retries": 7}
     planner = make_planner("smp", "DrawS", settings={**stiff, **quick})
     with pytest.raises(UnreachableError):
         conditioned_parts(planner.prior, problem, planner.plan_settings, 2.0**7)
