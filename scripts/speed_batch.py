@@ -16,10 +16,10 @@ import typer
 from rich.console import Console
 
 from smp_planner.benchmark import batch_speed
-from smp_planner.benchmark.options import split_names
+from smp_planner.benchmark.options import CommandLine, split_names
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 
-app = typer.Typer(add_completion=False, help=__doc__)
+app = CommandLine(add_completion=False, help=__doc__)
 Problems = Annotated[Path, typer.Option(help="File of problems, made by `prepare`.")]
 _PROBLEMS = Path("results/problems.npz")
 

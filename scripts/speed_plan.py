@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from smp_planner.benchmark.options import run_command
 from smp_planner.benchmark.plan_speed import (
     Measurement,
     Variant,
@@ -76,4 +77,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -355,13 +355,14 @@ from pathlib import Path
 
 from smp_gym.datasets.frozen import load_episodes
 from smp_planner.benchmark import runner
+from smp_planner.benchmark.options import run_command
 from test_benchmark import manifest, slow_play
 
+def main():
+    runner.run(manifest(40), Path({out!r}), jobs=1, player=slow_play)
+
 if __name__ == "__main__":
-    try:
-        runner.run(manifest(40), Path({out!r}), jobs=1, player=slow_play)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    run_command(main)
 """
 
 
@@ -377,7 +378,7 @@ def test_ctrl_c_leaves_a_folder_that_can_be_continued(tmp_path: Path) -> None:
     script.write_text(SLOW_RUN.format(paths=paths, out=str(out)))
     process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
     rows = out / "episodes.jsonl"
-    _wait_until(lambda: rows.exists() and rows.stat().st_size > 0, 60.0)
+    _wait_until(lambda: rows.exists() and rows.stat().st_size > 0, 240.0)
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(timeout=30) == 130
     kept = read_results(out)[1]
