@@ -58,6 +58,8 @@ def main(
     except (OSError, ValueError) as error:
         raise typer.BadParameter(str(error)) from None
     console = Console(highlight=False)
+    if training.model.num_timesteps:
+        console.print(f"going on from step {training.model.num_timesteps}")
     try:
         with progress_bar("success", steps, console) as (bar, row):
 

@@ -17,12 +17,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
 
+from smp_gym.atomic_files import write_text
+
 __all__ = [
     "ResultsError",
     "ResultsFolder",
     "read_manifest",
     "read_rows",
-    "write_atomically",
     "write_json",
     "write_table",
 ]
@@ -51,16 +52,9 @@ class ResultsError(ValueError):
     """A folder of results cannot be read or continued."""
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees the old or the new content, never half of it."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
-
-
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file of one object; values that are not finite are an error."""
-    write_atomically(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -69,7 +63,7 @@ def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(rows)
-    write_atomically(path, text.getvalue())
+    write_text(path, text.getvalue())
 
 
 def read_manifest(folder: Path, parse: Callable[[dict[str, Any]], Parsed]) -> Parsed:

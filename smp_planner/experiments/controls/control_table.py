@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
-from smp_planner.benchmark.results_folder import ResultsError, write_atomically, write_json
+from smp_planner.benchmark.results_folder import ResultsError, write_json
 from smp_planner.benchmark.summary import rate_interval
 from smp_planner.experiments.controls.detour import Detour, SearchSettings, learn_detour
 from smp_planner.experiments.controls.measuring import (
@@ -222,5 +223,5 @@ def markdown(folder: Path) -> str:
 def write_table(folder: Path) -> Path:
     """Write the table of a folder into it, and return its file; see `markdown`."""
     path = folder / "controls.md"
-    write_atomically(path, markdown(folder))
+    write_text(path, markdown(folder))
     return path
