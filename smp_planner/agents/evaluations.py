@@ -80,11 +80,20 @@ def evaluate(model: SAC, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluati
 
 
 def read_evaluations(path: Path) -> list[Evaluation]:
-    """Return the rows of a file of evaluations; none if there is no file."""
+    """Return the rows of a file of evaluations; none if there is no file.
+
+    Raises:
+        ValueError: a row is damaged; the message names file and line.
+    """
     if not path.exists():
         return []
     with path.open(newline="") as file:
-        return [Evaluation.from_row(row) for row in csv.DictReader(file)]
+        reader = csv.DictReader(file)
+        try:
+            return [Evaluation.from_row(row) for row in reader]
+        except (KeyError, TypeError, ValueError) as error:
+            line = reader.line_num
+            raise ValueError(f"{path}, line {line}, is not an evaluation: {error}") from error
 
 
 def write_evaluations(path: Path, evaluations: list[Evaluation]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -280,21 +281,25 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: Path) -> None:
 
     Raises:
         ValueError: there are no frames.
+        OSError: the file cannot be written, or there is no ffmpeg.
     """
     if not frames:
         raise ValueError("frames must hold at least one image, got none")
     with replacing(path) as aside:
-        writer: Any = imageio.get_writer(
-            aside,
-            fps=FRAME_RATE,
-            codec="libx264",
-            quality=7,
-            macro_block_size=2,
-            pixelformat="yuv420p",
-        )
-        with writer:
-            for frame in (*frames, *[frames[-1]] * _HOLD_FRAMES):
-                writer.append_data(frame)
+        try:
+            writer: Any = imageio.get_writer(
+                aside,
+                fps=FRAME_RATE,
+                codec="libx264",
+                quality=7,
+                macro_block_size=2,
+                pixelformat="yuv420p",
+            )
+            with writer:
+                for frame in (*frames, *[frames[-1]] * _HOLD_FRAMES):
+                    writer.append_data(frame)
+        except RuntimeError as error:
+            raise FileNotFoundError(errno.ENOENT, str(error), "ffmpeg") from error
 
 
 def draw_episode(

@@ -21,6 +21,7 @@ from rich.progress import (
 )
 
 from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
@@ -60,7 +61,7 @@ class CommandLine(typer.Typer):
 
     The terminal's Ctrl-C, its closing and a request to terminate raise `Interrupted` where the
     command is, so that it leaves in order; an error of the operating system, as of a full disk or
-    of a folder that cannot be written, is printed, with status 2.
+    of a folder that cannot be written, and one of a folder of results are printed, with status 2.
     """
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
@@ -68,8 +69,8 @@ class CommandLine(typer.Typer):
         with _interruptible():
             try:
                 return super().__call__(*args, **kwargs)
-            except OSError as error:
-                print_error(_described(error))
+            except (OSError, ResultsError) as error:
+                print_error(_described(error) if isinstance(error, OSError) else str(error))
                 raise SystemExit(2) from None
 
 
