@@ -190,7 +190,7 @@ def _restore(moment: dict[str, Any], environments: list[gymnasium.Env[Any, Any]]
             if isinstance(layer, Monitor):
                 layer.rewards = list(rewards)
             elif isinstance(layer, TimeLimit):
-                layer._elapsed_steps = len(state.actions)
+                vars(layer)["_elapsed_steps"] = len(state.actions)
 
 
 def _layers(env: gymnasium.Env[Any, Any]) -> Iterator[gymnasium.Env[Any, Any]]:
