@@ -265,8 +265,8 @@ class Training:
             "settings": asdict(settings),
         }
         begun = folder / "run.json"
-        if begun.exists() and json.loads(begun.read_text()) != description:
-            raise ValueError(f"{folder} holds another training, see {begun}")
+        if begun.exists() and begun.read_text() != _text(description):
+            raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
         view = partial(_only, observations=settings.observations)
         self._test_env = view(gymnasium.make(self._id, difficulty=difficulty))
         env = make_vec_env(
@@ -278,7 +278,7 @@ class Training:
         self.model = load_checkpoint(folder, env) or make_model(env, settings, seed)
         # Only now are the settings known to be good: those that are refused claim no folder.
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(begun, json.dumps(description, indent=2) + "\n")
+        write_text(begun, _text(description))
         self.evaluations = [
             evaluation
             for evaluation in read_evaluations(folder / "evaluations.csv")
@@ -324,8 +324,12 @@ class Training:
         model = SAC.load(self._folder / "agent.zip", device="cpu")
         seeds = range(EVALUATION_SEEDS_START, EVALUATION_SEEDS_START + episodes)
         result = evaluate(model, self._test_env, seeds)
-        write_text(self._folder / "result.json", json.dumps(asdict(result), indent=2) + "\n")
+        write_text(self._folder / "result.json", _text(asdict(result)))
         return result
+
+
+def _text(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=2) + "\n"
 
 
 def _only(env: gymnasium.Env[Any, Any], observations: list[str] | None) -> gymnasium.Env[Any, Any]:

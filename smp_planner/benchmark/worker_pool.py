@@ -27,14 +27,11 @@ def available_cores() -> int:
 
 
 def _prepare_worker() -> None:
-    """End with the parent, leave it the terminal's signals, and compute on one thread."""
+    """End with the parent, and leave it the terminal's signals."""
     end_with_parent()
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    import torch
-
-    torch.set_num_threads(1)
 
 
 @contextmanager
