@@ -19,7 +19,7 @@ from smp_gym.inspection.checking import (
     make,
     memory_along_resets,
 )
-from smp_planner.benchmark.options import Names, chosen_names
+from smp_planner.benchmark.options import Names, chosen_names, run_command
 
 
 def main(
@@ -62,4 +62,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from smp_gym.inspection.witness_check import witness_solves
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import Jobs, Names, chosen_names, pooled
+from smp_planner.benchmark.options import Jobs, Names, chosen_names, pooled, run_command
 from smp_planner.benchmark.summary import rate_interval
 
 
@@ -52,4 +52,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -12,12 +12,19 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES, FAMILIES, TASKS
-from smp_planner.benchmark.options import Jobs, Names, chosen_names, pooled, tuning_seeds
+from smp_planner.benchmark.options import (
+    CommandLine,
+    Jobs,
+    Names,
+    chosen_names,
+    pooled,
+    tuning_seeds,
+)
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.experiments.controls import control_table
 from smp_planner.experiments.controls.control_table import CONTROLS, ControlCell, Request
 
-app = typer.Typer(add_completion=False, no_args_is_help=True)
+app = CommandLine(add_completion=False, no_args_is_help=True)
 
 _Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 

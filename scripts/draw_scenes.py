@@ -15,7 +15,7 @@ from rich.progress import track
 from smp_gym.inspection.sheets import draw_sheet, pictures
 from smp_gym.scene import EVALUATION_SEEDS_START, TASKS
 from smp_gym.suites import SUITES, suite_cells
-from smp_planner.benchmark.options import Names, chosen_names, split_names
+from smp_planner.benchmark.options import Names, chosen_names, run_command, split_names
 
 
 def main(
@@ -48,4 +48,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

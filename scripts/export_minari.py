@@ -13,7 +13,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.datasets.minari_export import dataset_path, export_demonstrations
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import progress_bar
+from smp_planner.benchmark.options import progress_bar, run_command
 from smp_planner.policy.tracking import Track, gripper_event
 
 
@@ -80,4 +80,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

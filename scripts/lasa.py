@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from smp_planner.benchmark.options import Names, chosen_names
+from smp_planner.benchmark.options import CommandLine, Names, chosen_names
 from smp_planner.experiments import boxes, comparison, lasa_modulation, tuning
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
@@ -25,7 +25,7 @@ from smp_planner.experiments.lasa_scenes import (
 )
 from smp_planner.experiments.tables import report
 
-app = typer.Typer(
+app = CommandLine(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__
 )
 

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES
-from smp_planner.benchmark.options import Names, chosen_names, tuning_seeds
+from smp_planner.benchmark.options import Names, chosen_names, run_command, tuning_seeds
 from smp_planner.experiments.controls.blind_detours import BLOCKED_TASKS, add_blind_detour
 from smp_planner.experiments.controls.detour import SearchSettings
 
@@ -48,4 +48,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

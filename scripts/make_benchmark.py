@@ -18,11 +18,12 @@ from smp_gym.suites import SUITES, Cell
 from smp_gym.tasks.registry import task_names
 from smp_planner.benchmark.certification import make_lists, solvers
 from smp_planner.benchmark.options import (
-    INTERRUPTED,
+    Interrupted,
     Jobs,
     Names,
     chosen_names,
     progress_bar,
+    run_command,
 )
 
 
@@ -93,10 +94,10 @@ def main(
                 console.print(line)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    except KeyboardInterrupt as error:
+    except Interrupted:
         console.print("interrupted; finished lists are kept: the same command continues")
-        raise typer.Exit(INTERRUPTED) from error
+        raise
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -16,6 +16,7 @@ from rich.console import Console
 from smp_gym.assets import asset_path
 from smp_gym.jaco_assets.coverage import coverage_table
 from smp_gym.jaco_assets.description import write
+from smp_planner.benchmark.options import run_command
 
 
 def main(
@@ -39,4 +40,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

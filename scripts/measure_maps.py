@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from smp_planner.benchmark.map_comparison import compare_maps, map_table
+from smp_planner.benchmark.options import run_command
 
 
 def main(
@@ -41,4 +42,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

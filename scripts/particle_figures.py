@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from smp_planner.benchmark.options import chosen_names
+from smp_planner.benchmark.options import chosen_names, run_command
 from smp_planner.experiments.particle_figures import (
     draw_before_and_after,
     draw_two_modes,
@@ -60,4 +60,4 @@ def _said(success: bool) -> str:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.tasks import task_definition, task_names
+from smp_planner.benchmark.options import run_command
 
 
 def main(
@@ -38,4 +39,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

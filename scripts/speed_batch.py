@@ -15,11 +15,12 @@ import torch
 import typer
 from rich.console import Console
 
+from smp_gym.atomic_files import write_text
 from smp_planner.benchmark import batch_speed
-from smp_planner.benchmark.options import split_names
+from smp_planner.benchmark.options import CommandLine, split_names
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 
-app = typer.Typer(add_completion=False, help=__doc__)
+app = CommandLine(add_completion=False, help=__doc__)
 Problems = Annotated[Path, typer.Option(help="File of problems, made by `prepare`.")]
 _PROBLEMS = Path("results/problems.npz")
 
@@ -67,19 +68,19 @@ def run(
     name = torch.cuda.get_device_name(device) if device.startswith("cuda") else "processor"
     console.print(f"{name}, torch {torch.__version__}, {policy.task}, {len(given)} scenes")
     out.mkdir(parents=True, exist_ok=True)
-    with (out / "speed_batch.jsonl").open("w") as file:
-        kept = min(keep, len(given))
-        shares = batch_speed.write_particles(batch, device, kept, out / "particles.npz")
-        first = {"measured": "particles", "scenes": kept, "good": float(shares.mean())}
-        rows = itertools.chain(
-            [first],
-            batch_speed.plan_rows(batch, device, numbers, repeats, plans),
-            batch_speed.iteration_rows(batch, device, numbers, naive, repeats),
-        )
-        for row in rows:
-            console.print(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
+    kept = min(keep, len(given))
+    shares = batch_speed.write_particles(batch, device, kept, out / "particles.npz")
+    first = {"measured": "particles", "scenes": kept, "good": float(shares.mean())}
+    rows = itertools.chain(
+        [first],
+        batch_speed.plan_rows(batch, device, numbers, repeats, plans),
+        batch_speed.iteration_rows(batch, device, numbers, naive, repeats),
+    )
+    text = ""
+    for row in rows:
+        console.print(row)
+        text += json.dumps(row) + "\n"
+        write_text(out / "speed_batch.jsonl", text)
 
 
 @app.command()

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from smp_planner.benchmark.cost_speed import cost_table
+from smp_planner.benchmark.options import run_command
 
 
 def main(
@@ -30,4 +31,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from smp_gym.inspection.speed import known_ids, together
-from smp_planner.benchmark.options import Names, chosen_names, split_names
+from smp_planner.benchmark.options import Names, chosen_names, run_command, split_names
 
 
 def main(
@@ -50,4 +50,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from smp_gym.atomic_files import write_text
+from smp_planner.benchmark.options import run_command
 from smp_planner.benchmark.plan_speed import (
     Measurement,
     Variant,
@@ -72,8 +74,8 @@ def main(
     text = "\n\n".join(markdown(table) for table in tables) + "\n"
     Console().print(text, highlight=False, soft_wrap=True)
     if out is not None:
-        out.write_text(text, encoding="utf-8")
+        write_text(out, text)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -9,14 +9,22 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import Jobs, Names, chosen_names, one_of, pooled, tuning_seeds
+from smp_planner.benchmark.options import (
+    CommandLine,
+    Jobs,
+    Names,
+    chosen_names,
+    one_of,
+    pooled,
+    tuning_seeds,
+)
 from smp_planner.experiments import arm_settings
 from smp_planner.experiments.svgd_settings import VARIANTS, Ground, settings_columns, settings_rows
 from smp_planner.experiments.tables import report
 from smp_planner.inference import SETTINGS
 from smp_planner.inference.smc import SMCSettings
 
-app = typer.Typer(add_completion=False, no_args_is_help=True)
+app = CommandLine(add_completion=False, no_args_is_help=True)
 
 
 @app.command()

@@ -10,12 +10,12 @@ from rich.console import Console
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.options import Jobs, Names, chosen_names, progress_bar
+from smp_planner.benchmark.options import CommandLine, Jobs, Names, chosen_names, progress_bar
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
 
-app = typer.Typer(add_completion=False)
+app = CommandLine(add_completion=False)
 
 _CHOOSING = ("promp_diff", "prompt_o", "cpromp", "smp")
 

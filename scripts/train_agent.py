@@ -16,7 +16,7 @@ from smp_gym.assets import asset_path
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.training import Training
-from smp_planner.benchmark.options import INTERRUPTED, one_of, progress_bar
+from smp_planner.benchmark.options import Interrupted, one_of, progress_bar, run_command
 
 
 def main(
@@ -58,6 +58,8 @@ def main(
     except (OSError, ValueError) as error:
         raise typer.BadParameter(str(error)) from None
     console = Console(highlight=False)
+    if training.model.num_timesteps:
+        console.print(f"going on from step {training.model.num_timesteps}")
     try:
         with progress_bar("success", steps, console) as (bar, row):
 
@@ -66,9 +68,9 @@ def main(
 
             training.run(steps, every=every, episodes=episodes, progress=progress)
         result = training.finish(final_episodes)
-    except KeyboardInterrupt:
+    except Interrupted:
         console.print("interrupted; the same command goes on from the last checkpoint")
-        raise typer.Exit(INTERRUPTED) from None
+        raise
     console.print(
         f"{name}, {difficulty}: {result.successes} of {result.episodes} evaluation episodes, "
         f"{result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after {result.steps} steps; "
@@ -77,4 +79,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

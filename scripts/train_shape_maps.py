@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.assets import asset_path
+from smp_planner.benchmark.options import run_command
 from smp_planner.occupancy.shape_training import train_shape_networks
 
 
@@ -45,4 +46,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -12,7 +12,15 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import Jobs, Names, chosen_names, one_of, pooled, tuning_seeds
+from smp_planner.benchmark.options import (
+    Jobs,
+    Names,
+    chosen_names,
+    one_of,
+    pooled,
+    run_command,
+    tuning_seeds,
+)
 from smp_planner.benchmark.results_folder import write_json
 from smp_planner.experiments.baseline_tuning import CANDIDATES, cells_of, trial, trials_table
 
@@ -48,4 +56,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

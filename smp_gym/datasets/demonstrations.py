@@ -19,6 +19,7 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray
 from smp_gym.assets import asset_path
+from smp_gym.atomic_files import replacing
 from smp_gym.robot.pen import pen_path
 from smp_gym.scene import Scene
 from smp_gym.tasks.registry import task_definition
@@ -169,7 +170,8 @@ class Demonstrations:
         except (TypeError, ValueError) as error:
             raise ValueError(f"metadata must be JSON values, got {self.metadata!r}") from error
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        np.savez_compressed(path, header=np.array(text), **arrays)
+        with replacing(path) as aside:
+            np.savez_compressed(aside, header=np.array(text), **arrays)
 
     @classmethod
     def load(cls, task_or_path: str | Path) -> Demonstrations:

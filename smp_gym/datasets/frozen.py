@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,6 +20,7 @@ from typing import Any
 import gymnasium
 
 from smp_gym.assets import asset_path
+from smp_gym.atomic_files import replacing
 from smp_gym.scene import Scene
 from smp_gym.suites import SUITES, Cell, home_suite
 
@@ -214,9 +214,8 @@ def write_episodes(
         lines.append(json.dumps(entry, separators=(",", ":"), allow_nan=False))
     text = "\n".join(lines) + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
-    os.replace(temporary, path)
+    with replacing(path) as aside:
+        aside.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
 
 
 class FrozenEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.atomic_files import replacing
 from smp_gym.registration import environment_id
 from smp_gym.suites import Cell
 
@@ -54,4 +55,5 @@ def draw_sheet(path: Path, title: str, seeds: range, scenes: list[NDArray[np.uin
     for axes, seed, picture in zip(grid.flat, seeds, scenes, strict=False):
         axes.imshow(picture)
         axes.set_title(f"seed {seed}", fontsize=8, y=-0.09)
-    figure.savefig(path)
+    with replacing(path) as aside:
+        figure.savefig(aside)

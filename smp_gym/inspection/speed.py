@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 
 import smp_gym
+from smp_gym.processes import end_with_parent
 from smp_gym.scene import Scene
 
 __all__ = ["PANDA", "Speed", "known_ids", "together"]
@@ -58,6 +59,7 @@ def _timed(act: Callable[[], Any]) -> float:
 
 def _measure(id: str, seconds: float, barrier: Any, results: Any) -> None:
     """Measure one environment in this process, at the same time as the others at the barrier."""
+    end_with_parent()
     if id == PANDA:
         import panda_gym  # noqa: F401  (registers the environment)
     env = gymnasium.make(id)

@@ -23,6 +23,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from smp_gym.assets import asset_path
+from smp_gym.atomic_files import write_text
 from smp_gym.jaco_assets.solids import Box, Cylinder, Shape, Vector, clipped, enclosing_ball
 from smp_gym.jaco_assets.visuals import obj, visual_bodies
 from smp_gym.robot.kinematics import PEN_END, PEN_RADIUS, PEN_TIP
@@ -260,8 +261,8 @@ def write(directory: Path) -> None:
     """Write all files into a directory."""
     visuals = directory / "visuals"
     visuals.mkdir(parents=True, exist_ok=True)
-    (directory / "jaco.urdf").write_text(urdf(), encoding="utf-8")
-    (directory / "jaco_pen.urdf").write_text(urdf(pen=True), encoding="utf-8")
-    (directory / "spheres.json").write_text(spheres_json(), encoding="utf-8")
+    write_text(directory / "jaco.urdf", urdf())
+    write_text(directory / "jaco_pen.urdf", urdf(pen=True))
+    write_text(directory / "spheres.json", spheres_json())
     for name, body in visual_bodies().items():
-        (visuals / f"{name}.obj").write_text(obj(body), encoding="utf-8")
+        write_text(visuals / f"{name}.obj", obj(body))

@@ -13,7 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from stable_baselines3 import SAC
 
+from smp_gym.atomic_files import replacing
 from smp_gym.rollout import rollout
+from smp_planner.benchmark.results_folder import write_table
 from smp_planner.benchmark.summary import rate_interval
 
 __all__ = ["Evaluation", "draw_curve", "evaluate", "read_evaluations", "write_evaluations"]
@@ -78,19 +80,25 @@ def evaluate(model: SAC, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluati
 
 
 def read_evaluations(path: Path) -> list[Evaluation]:
-    """Return the rows of a file of evaluations; none if there is no file."""
+    """Return the rows of a file of evaluations; none if there is no file.
+
+    Raises:
+        ValueError: a row is damaged; the message names file and line.
+    """
     if not path.exists():
         return []
     with path.open(newline="") as file:
-        return [Evaluation.from_row(row) for row in csv.DictReader(file)]
+        reader = csv.DictReader(file)
+        try:
+            return [Evaluation.from_row(row) for row in reader]
+        except (KeyError, TypeError, ValueError) as error:
+            line = reader.line_num
+            raise ValueError(f"{path}, line {line}, is not an evaluation: {error}") from error
 
 
 def write_evaluations(path: Path, evaluations: list[Evaluation]) -> None:
     """Write evaluations as CSV."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(field.name for field in fields(Evaluation))
-        writer.writerows(astuple(evaluation) for evaluation in evaluations)
+    write_table(path, [field.name for field in fields(Evaluation)], map(astuple, evaluations))
 
 
 def draw_curve(path: Path, evaluations: list[Evaluation], title: str) -> None:
@@ -115,4 +123,5 @@ def draw_curve(path: Path, evaluations: list[Evaluation], title: str) -> None:
     axes.set_xlim(left=0)
     axes.grid(color="#dcd8cf", lw=0.6)
     axes.legend(frameon=False)
-    figure.savefig(path)
+    with replacing(path) as aside:
+        figure.savefig(aside)

@@ -7,29 +7,44 @@ The folder that a training writes holds
 - ``learning_curve.png``: that as a figure;
 - ``agent.zip``: the agent that did best on the tuning episodes, for `SAC.load`;
 - ``result.json``: how it does on episodes that neither training nor the choice of it has seen;
-- ``checkpoint/``: what it takes to go on after an interruption, or with more steps; large.
-  stable-baselines3 pickles: go on only in folders of your own.
+- ``checkpoint-1/`` and so on: what it takes to go on after an interruption, or with more steps;
+  large, the newest alone is kept. stable-baselines3 pickles: go on only in folders of your own.
+
+A training that goes on from a checkpoint does what it would have done without the interruption, to
+the last bit, on the same machine with the same packages and number of threads: the checkpoint holds
+the episodes that are under way and the state of all random generators. Only the records of returns
+and the times in the logs of stable-baselines3 start anew. Where the physics does not come to the
+same states again, as may be on another machine, the training goes on with new episodes, and a
+warning says so.
 """
 
 from __future__ import annotations
 
+import copy
 import json
+import logging
+import random
 import shutil
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-from gymnasium.wrappers import FilterObservation
+import numpy as np
+import torch
+from gymnasium.wrappers import FilterObservation, TimeLimit
 from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.atomic_files import replacing, write_text
+from smp_gym.env import ManipulationEnv
 from smp_gym.registration import environment_id
 from smp_gym.scene import EVALUATION_SEEDS_START
 from smp_planner.agents.evaluations import (
@@ -43,8 +58,11 @@ from smp_planner.agents.hyper_parameters import HyperParameters
 
 __all__ = ["Training", "load_checkpoint", "make_model", "save_checkpoint"]
 
-_CHECKPOINT, _CHECKPOINT_NEW = "checkpoint", "checkpoint.new"
+_LOGGER = logging.getLogger(__name__)
+
+_CHECKPOINT = "checkpoint"
 _MODEL, _REPLAY_BUFFER = "model.zip", "replay_buffer.pkl"
+_MOMENT = "moment_of_checkpoint"
 _REPLAY_ARGUMENTS = ["replay_buffer_class", "replay_buffer_kwargs"]
 
 
@@ -70,27 +88,122 @@ def make_model(env: VecEnv, settings: HyperParameters, seed: int) -> SAC:
 
 
 def save_checkpoint(model: SAC, folder: Path) -> None:
-    """Write agent and replay buffer, so that an interruption leaves the last ones or these."""
-    new, old = folder / _CHECKPOINT_NEW, folder / _CHECKPOINT
-    shutil.rmtree(new, ignore_errors=True)
-    new.mkdir(parents=True)
-    model.save(new / _MODEL)
-    model.save_replay_buffer(new / _REPLAY_BUFFER)
-    shutil.rmtree(old, ignore_errors=True)
-    new.rename(old)
+    """Write all that a training is; after a kill at any moment, the last checkpoint or this one.
+
+    Args:
+        model: between two rollouts, so that nothing is under way but episodes.
+        folder: of the training.
+    """
+    older = _checkpoints(folder)
+    # What stable-baselines3 saves of an agent are its attributes.
+    setattr(model, _MOMENT, _moment(model))
+    try:
+        with replacing(folder / f"{_CHECKPOINT}-{max(older, default=0) + 1}") as new:
+            new.mkdir()
+            model.save(new / _MODEL)
+            model.save_replay_buffer(new / _REPLAY_BUFFER)
+    finally:
+        delattr(model, _MOMENT)
+    # What a killed process was writing, too.
+    for path in (*older.values(), *folder.glob(f".{_CHECKPOINT}-*")):
+        shutil.rmtree(path)
 
 
 def load_checkpoint(folder: Path, env: VecEnv) -> SAC | None:
-    """Return the agent of the checkpoint with its replay buffer, or None if there is none."""
-    checkpoint = folder / _CHECKPOINT
-    if not checkpoint.exists():
+    """Return the agent of the newest checkpoint, or None if there is none.
+
+    Its episodes, replay buffer and random generators, also those of the process, are as they were.
+
+    Args:
+        folder: of the training.
+        env: like that in which it was trained.
+
+    Raises:
+        ValueError: the checkpoint is of an older version of the package.
+    """
+    if (folder / _CHECKPOINT).exists():
+        raise ValueError(f"{folder / _CHECKPOINT} is of an older version: train in another folder")
+    checkpoints = _checkpoints(folder)
+    if not checkpoints:
         return None
-    model = SAC.load(checkpoint / _MODEL, env=env, device="cpu")
-    with warnings.catch_warnings():
-        # The unfinished episodes are cut: what they lacked is never known.
-        warnings.filterwarnings("ignore", message=".*trajectory")
-        model.load_replay_buffer(checkpoint / _REPLAY_BUFFER, truncate_last_traj=True)
+    checkpoint = checkpoints[max(checkpoints)]
+    model = SAC.load(checkpoint / _MODEL, env=env, device="cpu", force_reset=False)
+    model.load_replay_buffer(checkpoint / _REPLAY_BUFFER, truncate_last_traj=False)
+    moment = vars(model).pop(_MOMENT)
+    env.reset()
+    try:
+        _restore(moment, _environments(env))
+    except RuntimeError as error:
+        _LOGGER.warning(f"the training goes on with new episodes: {error}")
+        model._last_obs = None
+        # Other episodes than those that came first.
+        env.seed((model.seed or 0) + model.num_timesteps)
+        if isinstance(model.replay_buffer, HerReplayBuffer):
+            with warnings.catch_warnings():
+                # The unfinished episodes are cut: what they lacked is never known.
+                warnings.filterwarnings("ignore", message=".*trajectory")
+                model.replay_buffer.truncate_last_trajectory()
+    model.action_space.np_random.bit_generator.state = moment["actions"]
+    random.setstate(moment["random"])
+    np.random.set_state(moment["numpy"])  # noqa: NPY002  (replay buffers draw from it)
+    torch.set_rng_state(moment["torch"])
     return model
+
+
+def _checkpoints(folder: Path) -> dict[int, Path]:
+    """Return the checkpoints by their number, the highest being the newest."""
+    paths = {path.name.removeprefix(f"{_CHECKPOINT}-"): path for path in folder.glob("*-*")}
+    return {int(number): path for number, path in paths.items() if number.isdecimal()}
+
+
+def _environments(env: VecEnv | None) -> list[gymnasium.Env[Any, Any]]:
+    if not isinstance(env, DummyVecEnv):
+        raise TypeError(f"env must be a DummyVecEnv, got {type(env).__name__}")
+    return env.envs
+
+
+def _moment(model: SAC) -> dict[str, Any]:
+    """Return what SAC does not save of where it is: episodes under way and random generators."""
+    environments = _environments(model.get_env())
+    monitors = [next(x for x in _layers(env) if isinstance(x, Monitor)) for env in environments]
+    return {
+        "episodes": [_inner(env).save_state() for env in environments],
+        "rewards": [list(monitor.rewards) for monitor in monitors],
+        "actions": copy.deepcopy(model.action_space.np_random.bit_generator.state),
+        "random": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002  (replay buffers draw from it)
+        "torch": torch.get_rng_state(),
+    }
+
+
+def _restore(moment: dict[str, Any], environments: list[gymnasium.Env[Any, Any]]) -> None:
+    """Bring environments to where they were.
+
+    Raises:
+        RuntimeError: the physics leads elsewhere.
+    """
+    for env, state, rewards in zip(
+        environments, moment["episodes"], moment["rewards"], strict=True
+    ):
+        _inner(env).restore_state(state)
+        for layer in _layers(env):
+            if isinstance(layer, Monitor):
+                layer.rewards = list(rewards)
+            elif isinstance(layer, TimeLimit):
+                vars(layer)["_elapsed_steps"] = len(state.actions)
+
+
+def _layers(env: gymnasium.Env[Any, Any]) -> Iterator[gymnasium.Env[Any, Any]]:
+    """Yield an environment's wrappers, from the outermost."""
+    while isinstance(env, gymnasium.Wrapper):
+        yield env
+        env = env.env
+
+
+def _inner(env: gymnasium.Env[Any, Any]) -> ManipulationEnv:
+    inner = env.unwrapped
+    assert isinstance(inner, ManipulationEnv)
+    return inner
 
 
 class _Periodically(BaseCallback):
@@ -105,17 +218,20 @@ class _Periodically(BaseCallback):
     def _on_training_start(self) -> None:
         self._next = (self.num_timesteps // self._period + 1) * self._period
 
-    def _on_step(self) -> bool:
-        self._each(self.num_timesteps)
+    def _on_rollout_start(self) -> None:
+        # Here all steps have been stored and learned from, as they have not been in `_on_step`.
         if self.num_timesteps >= self._next:
-            self._next += self._period
+            self._next = (self.num_timesteps // self._period + 1) * self._period
             assert isinstance(self.model, SAC)
             self._function(self.model)
+
+    def _on_step(self) -> bool:
+        self._each(self.num_timesteps)
         return True
 
 
 class Training:
-    """One training run, in a folder; starting it again goes on from the last checkpoint.
+    """One training run, in a folder; starting it again goes on exactly from the last checkpoint.
 
     Args:
         folder: to write.
@@ -142,14 +258,15 @@ class Training:
         self._folder = folder
         self._id = environment_id(task, "dense" if dense else "sparse")
         self._title = f"{self._id}, difficulty {difficulty}"
-        self._claim_folder(
-            {
-                "environment": self._id,
-                "difficulty": difficulty,
-                "seed": seed,
-                "settings": asdict(settings),
-            }
-        )
+        description = {
+            "environment": self._id,
+            "difficulty": difficulty,
+            "seed": seed,
+            "settings": asdict(settings),
+        }
+        begun = folder / "run.json"
+        if begun.exists() and begun.read_text() != _text(description):
+            raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
         view = partial(_only, observations=settings.observations)
         self._test_env = view(gymnasium.make(self._id, difficulty=difficulty))
         env = make_vec_env(
@@ -159,22 +276,14 @@ class Training:
             wrapper_class=view,
         )
         self.model = load_checkpoint(folder, env) or make_model(env, settings, seed)
-        # After a restart other episodes than those that came first.
-        env.seed(seed + self.model.num_timesteps)
+        # Only now are the settings known to be good: those that are refused claim no folder.
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(begun, _text(description))
         self.evaluations = [
             evaluation
             for evaluation in read_evaluations(folder / "evaluations.csv")
             if evaluation.steps <= self.model.num_timesteps
         ]
-
-    def _claim_folder(self, run: dict[str, Any]) -> None:
-        path = self._folder / "run.json"
-        if path.exists():
-            if json.loads(path.read_text()) != run:
-                raise ValueError(f"{self._folder} holds another training, see {path}")
-        else:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(run, indent=2) + "\n")
 
     def run(
         self, steps: int, *, every: int, episodes: int, progress: Callable[[int, float], None]
@@ -193,7 +302,8 @@ class Training:
             self.evaluations.append(evaluation)
             if evaluation.rate >= max(e.rate for e in self.evaluations):
                 # An agent that only acts needs no replay buffer, nor an environment to load it.
-                model.save(self._folder / "agent.zip", exclude=_REPLAY_ARGUMENTS)
+                with replacing(self._folder / "agent.zip") as aside:
+                    model.save(aside, exclude=_REPLAY_ARGUMENTS)
             write_evaluations(self._folder / "evaluations.csv", self.evaluations)
             draw_curve(self._folder / "learning_curve.png", self.evaluations, self._title)
             save_checkpoint(model, self._folder)
@@ -214,8 +324,12 @@ class Training:
         model = SAC.load(self._folder / "agent.zip", device="cpu")
         seeds = range(EVALUATION_SEEDS_START, EVALUATION_SEEDS_START + episodes)
         result = evaluate(model, self._test_env, seeds)
-        (self._folder / "result.json").write_text(json.dumps(asdict(result), indent=2) + "\n")
+        write_text(self._folder / "result.json", _text(asdict(result)))
         return result
+
+
+def _text(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=2) + "\n"
 
 
 def _only(env: gymnasium.Env[Any, Any], observations: list[str] | None) -> gymnasium.Env[Any, Any]:

@@ -28,11 +28,12 @@ from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.constraints import Reaching, ToolPath
-from smp_planner.planning.pipeline import Stopwatch, conditioned_parts, one_thread
+from smp_planner.planning.pipeline import Stopwatch, conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["AutogradPlanner", "AutogradTarget"]
 

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from smp_gym.arrays import BoolArray, FloatArray
+from smp_gym.atomic_files import replacing
 from smp_planner.adaptation.stein import SteinSettings, inference_of
 from smp_planner.batch.descent import PathRuns
 from smp_planner.batch.plain_costs import PlainCosts
@@ -24,9 +25,10 @@ from smp_planner.batch.planning import DevicePlanner
 from smp_planner.batch.problem_tables import Tables
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.assessment import assess
-from smp_planner.planning.pipeline import conditioned_parts, one_thread
+from smp_planner.planning.pipeline import conditioned_parts
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.torch_threads import one_thread
 
 __all__ = [
     "Batch",
@@ -103,7 +105,8 @@ def prepare(task: str, difficulty: str, count: int, first_seed: int, path: Path)
         f"observation/{key}": np.stack([one[key] for one in seen]) for key in seen[0]
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, task=np.array(task), **columns)
+    with replacing(path) as aside:
+        np.savez_compressed(aside, task=np.array(task), **columns)
 
 
 def read_problems(path: Path, count: int | None = None) -> tuple[PlannerPolicy, list[Problem]]:
@@ -323,7 +326,8 @@ def write_particles(batch: Batch, device: str, count: int, path: Path) -> FloatA
     finished = work.finish(part.problems, weights.double(), primitive, settings, {}, tables)
     good = np.array([one.verdict.good for one in finished])
     clearance = np.array([one.verdict.clearance for one in finished])
-    np.savez_compressed(path, weights=weights.cpu().numpy(), good=good, clearance=clearance)
+    with replacing(path) as aside:
+        np.savez_compressed(aside, weights=weights.cpu().numpy(), good=good, clearance=clearance)
     return np.asarray(good.mean(axis=1))
 
 

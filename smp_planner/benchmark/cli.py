@@ -14,7 +14,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from smp_planner.benchmark.options import INTERRUPTED, progress_bar, split_names
+from smp_planner.benchmark.options import (
+    CommandLine,
+    Interrupted,
+    print_error,
+    progress_bar,
+    split_names,
+)
 
 if TYPE_CHECKING:
     from smp_gym.suites import Cell
@@ -26,7 +32,7 @@ __all__ = ["app"]
 _MAP_SCENES = 20
 _EPISODES = 20
 
-app = typer.Typer(
+app = CommandLine(
     name="smp-bench",
     no_args_is_help=True,
     add_completion=False,
@@ -71,7 +77,7 @@ def _console(error: bool = False) -> Console:
 
 
 def _fail(message: str, code: int) -> typer.Exit:
-    _console(error=True).print(f"[bold red]error:[/] {escape(message)}", soft_wrap=True)
+    print_error(message)
     return typer.Exit(code)
 
 
@@ -242,9 +248,12 @@ def run(
         raise _fail(str(error), 2) from error
     except (WorkerDiedError, EpisodeFailedError) as error:
         raise _fail(str(error), 1) from error
-    except KeyboardInterrupt as error:
-        message = f"interrupted; the episodes so far are kept in {str(out)!r}: the same command "
-        raise _fail(message + "continues there", INTERRUPTED) from error
+    except Interrupted:
+        print_error(
+            f"interrupted; the episodes so far are kept in {str(out)!r}: the same command "
+            "continues there"
+        )
+        raise
     _finish(manifest, rows, out)
     drawn = not suite
     _draw(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from smp_gym.arrays import FloatArray
+from smp_gym.atomic_files import replacing
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
@@ -266,7 +268,8 @@ def scene_figure(played: PlayedEpisode, path: Path) -> None:
         fontsize=10,
         color=_DEMONSTRATION,
     )
-    figure.savefig(path)
+    with replacing(path) as aside:
+        figure.savefig(aside)
 
 
 def write_video(frames: Sequence[NDArray[np.uint8]], path: Path) -> None:
@@ -278,15 +281,25 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: Path) -> None:
 
     Raises:
         ValueError: there are no frames.
+        OSError: the file cannot be written, or there is no ffmpeg.
     """
     if not frames:
         raise ValueError("frames must hold at least one image, got none")
-    writer: Any = imageio.get_writer(
-        path, fps=FRAME_RATE, codec="libx264", quality=7, macro_block_size=2, pixelformat="yuv420p"
-    )
-    with writer:
-        for frame in (*frames, *[frames[-1]] * _HOLD_FRAMES):
-            writer.append_data(frame)
+    with replacing(path) as aside:
+        try:
+            writer: Any = imageio.get_writer(
+                aside,
+                fps=FRAME_RATE,
+                codec="libx264",
+                quality=7,
+                macro_block_size=2,
+                pixelformat="yuv420p",
+            )
+            with writer:
+                for frame in (*frames, *[frames[-1]] * _HOLD_FRAMES):
+                    writer.append_data(frame)
+        except RuntimeError as error:
+            raise FileNotFoundError(errno.ENOENT, str(error), "ffmpeg") from error
 
 
 def draw_episode(

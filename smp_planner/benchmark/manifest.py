@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -13,7 +14,12 @@ from typing import Any
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.suites import Cell
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow, PlayMethods
-from smp_planner.benchmark.results_folder import ResultsFolder, read_manifest, read_rows
+from smp_planner.benchmark.results_folder import (
+    ResultsFolder,
+    checked,
+    read_manifest,
+    read_rows,
+)
 from smp_planner.planners.registry import resolve
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
@@ -76,10 +82,13 @@ class Manifest:
         """Return the manifest that `to_json` gave.
 
         Raises:
-            KeyError, TypeError, ValueError: entries are missing or not known.
+            KeyError, TypeError, ValueError: entries are missing, not known, or of other types.
         """
-        cells = tuple(Cell(**cell) for cell in content["cells"].values())
-        return cls(**{**content, "cells": cells, "methods": tuple(content["methods"])})
+        listed = {**content, "cells": list(content["cells"].values())}
+        manifest: Manifest = checked(cls, json.dumps(listed))
+        if json.loads(json.dumps(manifest.to_json())) != content:
+            raise ValueError("entries are missing or not known, or cells have other names")
+        return manifest
 
     def to_json(self) -> dict[str, Any]:
         """Return the manifest as JSON holds it, the cells by their names."""
@@ -221,15 +230,12 @@ class EpisodeStore(ResultsFolder[EpisodeRow]):
         super().__init__(
             folder,
             _ROWS,
-            _row,
+            EpisodeRow,
             manifest.to_json(),
+            belongs=set(manifest.episode_keys()).__contains__,
             parse_manifest=Manifest.from_json,
             restart=restart,
         )
-
-
-def _row(content: Mapping[str, Any]) -> EpisodeRow:
-    return EpisodeRow(**content)
 
 
 def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
@@ -238,4 +244,6 @@ def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
     Raises:
         ResultsError: no results there, or damaged ones.
     """
-    return read_manifest(folder, Manifest.from_json), read_rows(folder / _ROWS, _row)[0]
+    manifest = read_manifest(folder, Manifest.from_json)
+    keys = set(manifest.episode_keys())
+    return manifest, read_rows(folder / _ROWS, EpisodeRow, keys.__contains__)

@@ -1,13 +1,16 @@
-"""Shared parts of command lines: lists of names, seeds, progress bars and pools of workers."""
+"""Shared parts of command lines: their errors and signals, names, seeds, bars, pools of workers."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, TypeVar
+from types import FrameType
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -18,22 +21,23 @@ from rich.progress import (
 )
 
 from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
-    "INTERRUPTED",
+    "CommandLine",
+    "Interrupted",
     "Jobs",
     "Names",
     "chosen_names",
     "one_of",
     "pooled",
+    "print_error",
     "progress_bar",
+    "run_command",
     "split_names",
     "tuning_seeds",
 ]
-
-INTERRUPTED = 130
-"""Exit status of a command that the user interrupts, as shells have it."""
 
 Names = Annotated[str, typer.Option(help="Separated by commas. Default: all.")]
 """Option for names, to be read by `chosen_names`."""
@@ -43,6 +47,69 @@ Jobs = Annotated[int, typer.Option(min=1, help="Worker processes.")]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+class Interrupted(SystemExit):
+    """The end of a command line by SIGINT, SIGTERM or SIGHUP: an exit status as shells have it.
+
+    It is 128 and the number of the signal.
+    """
+
+
+class CommandLine(typer.Typer):
+    """A command line of which every end has an exit status and at most one line of words.
+
+    The terminal's Ctrl-C, its closing and a request to terminate raise `Interrupted` where the
+    command is, so that it leaves in order; an error of the operating system, as of a full disk or
+    of a folder that cannot be written, and one of a folder of results are printed, with status 2.
+    """
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the command line and run its command."""
+        with _interruptible():
+            try:
+                return super().__call__(*args, **kwargs)
+            except (OSError, ResultsError) as error:
+                print_error(_described(error) if isinstance(error, OSError) else str(error))
+                raise SystemExit(2) from None
+
+
+def run_command(function: Callable[..., Any]) -> None:
+    """Run a function as the one command of a `CommandLine`."""
+    app = CommandLine(add_completion=False)
+    app.command()(function)
+    app()
+
+
+def print_error(message: str) -> None:
+    """Print one line of error."""
+    console = Console(stderr=True, highlight=False)
+    console.print(f"[bold red]error:[/] {escape(message)}", soft_wrap=True)
+
+
+def _described(error: OSError) -> str:
+    reason = error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
+    return reason if error.filename is None else f"{reason}: {str(error.filename)!r}"
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise `Interrupted` at the signals that end a command, unless they are disregarded."""
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        raise Interrupted(128 + number)
+
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = {each: signal.getsignal(each) for each in signals}
+    taken = [each for each, handler in before.items() if handler != signal.SIG_IGN]
+    for each in taken:
+        signal.signal(each, end)
+    try:
+        yield
+    finally:
+        for each in taken:
+            signal.signal(each, before[each])
 
 
 def split_names(text: str) -> tuple[str, ...]:

@@ -115,7 +115,8 @@ def _process(path: Path | None) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def busy_neighbours(count: int) -> Iterator[None]:
     """Keep processes computing meanwhile."""
-    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    code = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+    processes = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(count)]
     try:
         yield
     finally:

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest
 from smp_planner.benchmark.results_folder import ResultsFolder
-from smp_planner.benchmark.worker_pool import workers
+from smp_planner.benchmark.worker_pool import GRACE, workers
 
 __all__ = [
     "EpisodeFailedError",
@@ -89,10 +89,10 @@ def play_all(
                 finished, running = wait(running, return_when=FIRST_COMPLETED)
                 _take(finished, done)
         except BaseException as error:
-            # What is being played is worth keeping: it is over in seconds.
+            # What is being played is worth keeping; whoever interrupts does not wait for long.
             for future in running:
                 future.cancel()
-            finished, _ = wait(running)
+            finished, _ = wait(running, None if isinstance(error, Exception) else GRACE)
             if not isinstance(error, BrokenProcessPool):
                 _take({f for f in finished if not f.cancelled() and not f.exception()}, done)
             raise

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle as Disc
 
 from smp_gym.arrays import FloatArray
+from smp_gym.atomic_files import replacing
 from smp_planner.experiments.lasa_scenes import LasaScene
 from smp_planner.library.smp import AnyOf, ViaPoint
 
@@ -61,7 +62,8 @@ def draw_side_by_side(
     columns = min(len(handles), 3 * len(panels))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=9)
     file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=_DPI)
+    with replacing(file) as aside:
+        figure.savefig(aside, dpi=_DPI)
 
 
 def _draw(

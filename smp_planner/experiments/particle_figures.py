@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.atomic_files import replacing
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import end_effector_pose, inverse_kinematics
 from smp_gym.rollout import FrameRecorder, rollout
@@ -120,7 +121,8 @@ def draw_before_and_after(scenes: Sequence[Scene], path: Path) -> None:
         figure.text(left + width / 2, 0.955, name, fontsize=16, weight="bold", ha="center")
     for height, name in ((0.71, "before adaptation"), (0.245, "after adaptation")):
         figure.text(0.01, height, name, fontsize=13, rotation=90, va="center")
-    figure.savefig(path)
+    with replacing(path) as aside:
+        figure.savefig(aside)
 
 
 def _share_limits(pictures: Sequence[Any]) -> None:
@@ -262,7 +264,8 @@ def draw_two_modes(pair: TwoModes, stills: Path, videos: tuple[Path, Path]) -> t
         figure.text(0.252, 0.94 - 0.47 * row, name, fontsize=13, weight="bold", color=_MODES[row])
     env.close()
     figure.text(0.01, 0.945, _TASK_TITLES[pair.scene.task], fontsize=15, weight="bold")
-    figure.savefig(stills)
+    with replacing(stills) as aside:
+        figure.savefig(aside)
     return done[0], done[1]
 
 
@@ -362,5 +365,6 @@ def draw_two_sides(stills: Path, videos: tuple[Path, Path], seed: int = 0) -> tu
         frameon=False,
         fontsize=11,
     )
-    figure.savefig(stills)
+    with replacing(stills) as aside:
+        figure.savefig(aside)
     return done[0], done[1]

@@ -6,7 +6,6 @@ kept as they are, in CSV; means and standard deviations are kept in JSON, and as
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -16,6 +15,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+
+from smp_gym.atomic_files import write_text
+from smp_planner.benchmark.results_folder import write_table
 
 __all__ = ["Column", "Row", "Spread", "print_table", "report", "summarise", "write_tables"]
 
@@ -148,15 +150,13 @@ def write_tables(
         note: text below the Markdown table.
     """
     out.mkdir(parents=True, exist_ok=True)
-    with (out / f"{name}.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    header = list(rows[0])
+    write_table(out / f"{name}.csv", header, ([row[key] for key in header] for row in rows))
     plain = [
         {key: asdict(value) if isinstance(value, Spread) else value for key, value in s.items()}
         for s in summaries
     ]
-    (out / f"{name}.json").write_text(json.dumps(plain, indent=1) + "\n")
+    write_text(out / f"{name}.json", json.dumps(plain, indent=1) + "\n")
     lines = ["| " + " | ".join(column.title for column in columns) + " |"]
     lines.append("|" + "---|" * len(columns))
     for summary in summaries:
@@ -164,7 +164,7 @@ def write_tables(
         lines.append("| " + " | ".join(cells) + " |")
     if note:
         lines += ["", note]
-    (out / f"{name}.md").write_text("\n".join(lines) + "\n")
+    write_text(out / f"{name}.md", "\n".join(lines) + "\n")
 
 
 def report(

@@ -32,11 +32,12 @@ from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot
 from smp_planner.movement_primitives import ProMP, ProMPMixture
-from smp_planner.planning.pipeline import one_thread, plan_problems
+from smp_planner.planning.pipeline import plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
 from smp_planner.planning.settings import PriorSettings
 from smp_planner.planning.tool_goals import GoalRegion
+from smp_planner.torch_threads import one_thread
 
 __all__ = [
     "SMP",
@@ -90,8 +91,7 @@ class SMP:
             robot = Robot(with_collision_pairs(robot.model, self.demonstrations), robot.joints)
         self.robot = robot
         self.frame = _frame(self.demonstrations, robot)
-        with one_thread():
-            self.prior = learn_prior([self.frame.inwards(d) for d in self.demonstrations], settings)
+        self.prior = learn_prior([self.frame.inwards(d) for d in self.demonstrations], settings)
 
     @classmethod
     def fit(cls, demonstrations: Any, robot: Robot | None = None, **settings: Any) -> SMP:

@@ -21,6 +21,7 @@ from smp_planner.movement_primitives.basis import GaussianBasis
 from smp_planner.movement_primitives.em import fitted_weights
 from smp_planner.movement_primitives.promp import ProMP
 from smp_planner.movement_primitives.samples import checked_demonstrations
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["LEAST_MODE_SIZE", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
 
@@ -186,6 +187,7 @@ class ProMPMixture:
         object.__setattr__(self, "shares", shares / shares.sum())
 
     @classmethod
+    @one_thread()
     def fit(
         cls,
         demonstrations: Sequence[Tensor | NDArray[Any]],

@@ -24,6 +24,7 @@ from smp_planner.movement_primitives.covariances import (
 )
 from smp_planner.movement_primitives.em import EMSettings, expectation_maximization, infer
 from smp_planner.movement_primitives.samples import checked_demonstrations
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["ProMP"]
 
@@ -91,6 +92,7 @@ class ProMP:
         return cls(basis, mean, square_root(covariance), noise)
 
     @classmethod
+    @one_thread()
     def fit(
         cls,
         demonstrations: Tensor | np.ndarray | Sequence[Tensor | np.ndarray],

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.atomic_files import replacing
+
 __all__ = ["read_archive", "write_archive"]
 
 
@@ -21,7 +23,8 @@ def write_archive(
 ) -> None:
     """Write arrays and a header of JSON values; `read_archive` gives the arrays back exactly."""
     named: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
-    with open(path, "wb") as file:
+    # To a file that is open: numpy adds a suffix to a name without one.
+    with replacing(path) as aside, open(aside, "wb") as file:
         np.savez_compressed(file, **named)
 
 

@@ -30,6 +30,7 @@ from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, GridMap, grid_nodes
 from smp_planner.occupancy.occupancy_map import TRUNCATION
 from smp_planner.occupancy.redistancing import redistance
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["PointNetwork", "PointNetworkMap", "sample_labelled_points", "train_map"]
 
@@ -194,6 +195,7 @@ def sample_labelled_points(
     return points, signed_distance(points, packed) <= inflation
 
 
+@one_thread()
 def train_map(
     points: ArrayLike,
     labels: ArrayLike,

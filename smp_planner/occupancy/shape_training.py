@@ -13,6 +13,7 @@ from smp_gym.geometry.distance import local_distance
 from smp_gym.geometry.registry import REGISTRY
 from smp_planner.occupancy.occupancy_map import TRUNCATION
 from smp_planner.occupancy.shape_networks import NETWORK_SHAPES, ShapeNetworks, face_offsets
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["sample_shape_distances", "train_shape_networks"]
 
@@ -114,6 +115,7 @@ def _train_one(
     return parameters
 
 
+@one_thread()
 def train_shape_networks(
     hidden: int = 16,
     rounds: int = 8,

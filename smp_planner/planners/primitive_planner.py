@@ -14,7 +14,7 @@ from smp_planner.adaptation import ADAPTATIONS, Adaptation, SteinSettings
 from smp_planner.batch.planning import DevicePlanner
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.own_costs import OwnCosts, checked_own_costs
-from smp_planner.planning.pipeline import one_thread, plan_problems
+from smp_planner.planning.pipeline import plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.problem import Problem
@@ -70,11 +70,10 @@ class PrimitivePlanner:
         self.adaptation: Adaptation = replace(kind, settings=own.model_validate(given(own)))
         self._devices: dict[str, DevicePlanner] = {}
         self._maps: dict[Any, Any] = {}
-        with one_thread():
-            self.prior: Prior = learn_prior(
-                list(np.array(demonstrations.configurations)),
-                PriorSettings.model_validate(given(PriorSettings)),
-            )
+        self.prior: Prior = learn_prior(
+            list(np.array(demonstrations.configurations)),
+            PriorSettings.model_validate(given(PriorSettings)),
+        )
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
 from smp_planner.planning.threads import Threads, default_threads
+from smp_planner.torch_threads import one_thread
 
 if TYPE_CHECKING:
     from smp_planner.batch.planning import DevicePlanner, Finished
@@ -45,23 +46,11 @@ __all__ = [
     "Stopwatch",
     "condition",
     "conditioned_parts",
-    "one_thread",
     "plan_problems",
 ]
 
 _RESERVED = 0.1
 """Share of the time until a deadline that is kept for checking the best particle."""
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep torch to one thread: its matrices are small here, and waking others costs more."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 class Stopwatch:

@@ -19,6 +19,7 @@ from smp_planner.movement_primitives import (
     smooth_covariance,
 )
 from smp_planner.planning.settings import PriorSettings
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["Prior", "learn_prior"]
 
@@ -66,6 +67,7 @@ class Prior:
         )
 
 
+@one_thread()
 def learn_prior(demonstrations: Sequence[NDArray[np.float64]], settings: PriorSettings) -> Prior:
     """Return the prior that demonstrations teach.
 

@@ -28,12 +28,13 @@ from smp_planner.planning.constraints import (
     at_phases,
 )
 from smp_planner.planning.maps import SceneMaps
-from smp_planner.planning.pipeline import Part, PlanState, Stopwatch, condition, one_thread
+from smp_planner.planning.pipeline import Part, PlanState, Stopwatch, condition
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.torch_threads import one_thread
 
 if TYPE_CHECKING:
     from typing import Any

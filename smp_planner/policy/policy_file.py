@@ -8,7 +8,6 @@ milliseconds and keeps file and code from drifting apart.
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from smp_gym.atomic_files import replacing
 from smp_gym.datasets.demonstrations import Demonstrations
 
 __all__ = ["FORMAT", "VERSION", "SavedPolicy", "read_policy", "write_policy"]
@@ -53,14 +53,12 @@ def write_policy(path: Path, policy: SavedPolicy) -> None:
         "settings": dict(policy.settings),
         "seed": policy.seed,
     }
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+    with tempfile.TemporaryDirectory() as folder, replacing(path) as aside:
         learned_from = Path(folder) / _DEMONSTRATIONS
         policy.demonstrations.save(learned_from)
-        complete = Path(folder) / "policy.zip"
-        with zipfile.ZipFile(complete, "w") as archive:
+        with zipfile.ZipFile(aside, "w") as archive:
             archive.writestr(_HEADER_FILE, json.dumps(header, indent=1))
             archive.write(learned_from, _DEMONSTRATIONS)
-        os.replace(complete, path)
 
 
 def read_policy(path: Path) -> SavedPolicy:

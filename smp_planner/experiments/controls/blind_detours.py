@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from smp_gym.arrays import FloatArray
+from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.sampling.blind_detours import BLIND_DETOURS, FUNCTIONS, load_blind_detours
 from smp_planner.experiments.controls.detour import Detour, SearchSettings, learn_detour
@@ -44,7 +44,5 @@ def store_blind_detour(
     """Add a detour, (18,) rad, functions first, to those of a task and side."""
     known = json.loads(file.read_text())
     known[task][side] += np.round(numbers, 3).reshape(-1, FUNCTIONS, 6).tolist()
-    complete = file.with_suffix(".new")
-    complete.write_text(json.dumps(known))
-    os.replace(complete, file)
+    write_text(file, json.dumps(known))
     load_blind_detours.cache_clear()

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
-from smp_planner.benchmark.results_folder import ResultsError, write_atomically, write_json
+from smp_planner.benchmark.results_folder import ResultsError, checked, write_json
 from smp_planner.benchmark.summary import rate_interval
 from smp_planner.experiments.controls.detour import Detour, SearchSettings, learn_detour
 from smp_planner.experiments.controls.measuring import (
@@ -109,9 +110,16 @@ class Request:
 def _read(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(content, dict) or not {"cell", "outcomes"} <= content.keys():
-            raise ValueError("no cell and outcomes in it")
-    except ValueError as error:
+        ControlCell(**content["cell"])
+        outcomes = checked(dict[str, list[Outcome]], json.dumps(content["outcomes"]))
+        episodes = content["episodes"]
+        if not outcomes.keys() <= set(CONTROLS):
+            raise ValueError(
+                f"outcomes must be of {', '.join(CONTROLS)}, got {', '.join(outcomes)}"
+            )
+        if any(len(of_control) != episodes for of_control in outcomes.values()):
+            raise ValueError(f"outcomes must be of {episodes} episodes each")
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise ResultsError(f"{path} is not a file of controls: {error}") from error
     return content
 
@@ -222,5 +230,5 @@ def markdown(folder: Path) -> str:
 def write_table(folder: Path) -> Path:
     """Write the table of a folder into it, and return its file; see `markdown`."""
     path = folder / "controls.md"
-    write_atomically(path, markdown(folder))
+    write_text(path, markdown(folder))
     return path

@@ -31,8 +31,9 @@ from smp_planner.movement_primitives import ProMP
 from smp_planner.planning.assessment import assess
 from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.constraints import ToolPath
-from smp_planner.planning.pipeline import condition, one_thread
+from smp_planner.planning.pipeline import condition
 from smp_planner.planning.problem import Problem
+from smp_planner.torch_threads import one_thread
 
 __all__ = [
     "Course",

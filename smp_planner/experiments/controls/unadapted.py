@@ -7,9 +7,10 @@ import numpy as np
 from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.experiments.controls.posed_scenes import primitive_of
 from smp_planner.planning.assessment import make_plan
-from smp_planner.planning.pipeline import conditioned_parts, one_thread
+from smp_planner.planning.pipeline import conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
+from smp_planner.torch_threads import one_thread
 
 __all__ = ["plan_unadapted"]
 

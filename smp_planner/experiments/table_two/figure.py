@@ -9,6 +9,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from smp_gym.atomic_files import replacing
 from smp_planner.experiments.table_two.report import METHOD_TITLES
 
 __all__ = ["draw_table"]
@@ -87,7 +88,8 @@ def draw_table(summary: Mapping[str, Any], path: Path) -> None:
         x=0.01,
         ha="left",
     )
-    figure.savefig(path)
+    with replacing(path) as aside:
+        figure.savefig(aside)
 
 
 def _dress(axes: Any, methods: list[str], column: int, title: str) -> None:

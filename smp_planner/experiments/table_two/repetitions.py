@@ -44,7 +44,6 @@ __all__ = [
     "RepetitionKey",
     "RepetitionRow",
     "methods_of",
-    "parse_row",
     "play_repetition",
 ]
 
@@ -139,20 +138,6 @@ class RepetitionRow:
     def key(self) -> RepetitionKey:
         """Identifier of the repetition."""
         return RepetitionKey(self.repetition, self.task, self.method)
-
-
-def parse_row(content: dict[str, Any]) -> RepetitionRow:
-    """Return the row that JSON holds.
-
-    Raises:
-        TypeError: fields are missing or not known.
-    """
-    fields = dict(content)
-    for name in ("success", "causes", "steps", "planned", "lengths"):
-        fields[name] = tuple(fields[name])
-    for name in ("all", "successful", "floor"):
-        fields[name] = None if fields[name] is None else Metrics(**fields[name])
-    return RepetitionRow(**fields)
 
 
 def methods_of(task: str, methods: Sequence[str] = METHODS) -> list[str]:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from smp_gym.assets import asset_path
+from smp_gym.atomic_files import write_text
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.results_folder import write_atomically, write_json, write_table
+from smp_planner.benchmark.results_folder import write_json, write_table
 from smp_planner.benchmark.summary import mean_interval, rate_interval
 from smp_planner.experiments.table_two.repetitions import METHODS, RepetitionRow
 from smp_planner.experiments.table_two.scenes import RULE, load_scenes
@@ -260,5 +261,5 @@ def write_report(rows: Sequence[RepetitionRow], folder: Path) -> dict[str, Any]:
     _write_trajectories(folder / "trajectories.csv", rows)
     _write_repetitions(folder / "repetitions.csv", rows)
     write_json(folder / "summary.json", summary)
-    write_atomically(folder / "table_two.md", markdown(summary))
+    write_text(folder / "table_two.md", markdown(summary))
     return summary

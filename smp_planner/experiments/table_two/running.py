@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
+from smp_gym.scene import TASKS
 from smp_planner.benchmark.manifest import code_digest, versions
-from smp_planner.benchmark.results_folder import ResultsFolder, read_rows
+from smp_planner.benchmark.results_folder import ResultsFolder, checked, read_rows
 from smp_planner.benchmark.runner import play_missing
 from smp_planner.experiments.table_two.repetitions import (
+    METHODS,
     RepetitionKey,
     RepetitionRow,
     methods_of,
-    parse_row,
     play_repetition,
 )
 from smp_planner.experiments.table_two.scenes import load_scenes
@@ -38,22 +40,31 @@ def keys_of(tasks: Sequence[str], methods: Sequence[str], repetitions: int) -> l
     ]
 
 
-def _manifest() -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Manifest:
+    code: str
+    scenes: str
+    versions: dict[str, str]
+
+
+def _manifest() -> _Manifest:
     scenes = "".join(scene.to_json() for scene in load_scenes().values())
-    return {
-        "code": code_digest(),
-        "scenes": hashlib.sha256(scenes.encode()).hexdigest()[:16],
-        "versions": versions(),
-    }
+    return _Manifest(code_digest(), hashlib.sha256(scenes.encode()).hexdigest()[:16], versions())
+
+
+def _belongs(key: RepetitionKey) -> bool:
+    """Return whether a repetition can be one of a run."""
+    return key.task in TASKS and key.method in METHODS and key.repetition >= 0
 
 
 def read(folder: Path) -> list[RepetitionRow]:
     """Return the rows of a folder, sorted.
 
     Raises:
-        ResultsError: a row is damaged.
+        ResultsError: a row is damaged, there twice, or of something else.
     """
-    return sorted(read_rows(folder / _ROWS, parse_row)[0], key=lambda row: row.key)
+    rows = read_rows(folder / _ROWS, RepetitionRow, _belongs)
+    return sorted(rows, key=lambda row: row.key)
 
 
 def run(
@@ -81,5 +92,12 @@ def run(
         EpisodeFailedError: a repetition raised an exception.
         ValueError: `jobs` is below 1.
     """
-    with ResultsFolder(folder, _ROWS, parse_row, _manifest()) as store:
+    with ResultsFolder(
+        folder,
+        _ROWS,
+        RepetitionRow,
+        asdict(_manifest()),
+        belongs=_belongs,
+        parse_manifest=lambda content: checked(_Manifest, json.dumps(content)),
+    ) as store:
         play_missing(store, keys, player, jobs=jobs, on_progress=on_progress)

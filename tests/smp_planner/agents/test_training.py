@@ -3,14 +3,17 @@
 import json
 import runpy
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 import typer
 from gymnasium.wrappers import FilterObservation
+from killed import MID_WRITE, killed
 from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 from typer.testing import CliRunner, Result
@@ -20,7 +23,7 @@ from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_planner.agents.evaluations import evaluate, read_evaluations
 from smp_planner.agents.hyper_parameters import HyperParameters
-from smp_planner.agents.training import load_checkpoint, make_model
+from smp_planner.agents.training import load_checkpoint, make_model, save_checkpoint
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "train_agent.py"
 ID = "smp_gym/Placement-v0"
@@ -57,25 +60,29 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which a training was ended early and then gone on with."""
     folder = tmp_path_factory.mktemp("agent")
     settings = _write(folder / "settings.json", TINY)
-    for steps in ("450", "600"):
+    for out, steps, every in (
+        ("out", "450", "300"),
+        ("out", "500", "300"),
+        ("at_once", "500", "500"),
+    ):
         result = _train(
-            "--settings", str(settings), "--out", str(folder / "out"), "--steps", steps,
-            "--every", "300", "--episodes", "1", "--final-episodes", "1",
+            "--settings", str(settings), "--out", str(folder / out), "--steps", steps,
+            "--every", every, "--episodes", "1", "--final-episodes", "1",
         )  # fmt: skip
         assert result.exit_code == 0, result.output
+        assert ("going on from step 450" in result.output) == ((out, steps) == ("out", "500"))
     return folder
 
 
 def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
     evaluations = read_evaluations(trained / "out" / "evaluations.csv")
-    assert [e.steps for e in evaluations] == [300, 450, 600]
+    assert [e.steps for e in evaluations] == [300, 450, 500]
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
     model = load_checkpoint(trained / "out", env)
-    assert model.num_timesteps == 600
-    # One gradient step for each step from the second after `learning_starts` on.
-    assert model._n_updates == 600 - MAX_EPISODE_STEPS - 1
-    # A step is counted before it is stored.
-    assert model.replay_buffer.size() >= 600 - 1
+    assert model.num_timesteps == 500
+    # One gradient step for each step after `learning_starts`.
+    assert model._n_updates == 500 - MAX_EPISODE_STEPS
+    assert model.replay_buffer.size() == 500
     settings = HyperParameters(**TINY)
     untrained = make_model(env, settings, seed=0).get_parameters()["policy"]
     change = [
@@ -84,6 +91,43 @@ def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
         if name.startswith("actor.")
     ]
     assert min(change) > 0.0
+    env.close()
+
+
+def test_an_interrupted_training_is_equal_to_one_at_once(trained: Path) -> None:
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
+    interrupted, at_once = (load_checkpoint(trained / out, env) for out in ("out", "at_once"))
+    for name, value in at_once.policy.state_dict().items():
+        assert torch.equal(value, interrupted.policy.state_dict()[name]), name
+    for part in ("actions", "rewards", "timeouts"):
+        ours, theirs = (getattr(m.replay_buffer, part) for m in (interrupted, at_once))
+        assert np.array_equal(ours, theirs), part
+    assert interrupted._last_obs.keys() == at_once._last_obs.keys()
+    for name, value in at_once._last_obs.items():
+        assert np.array_equal(value, interrupted._last_obs[name])
+    env.close()
+
+
+def test_a_kill_within_a_checkpoint_leaves_the_old_or_the_new(trained: Path) -> None:
+    env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
+    model = load_checkpoint(trained / "at_once", env)
+
+    def save() -> None:
+        model.num_timesteps = 700
+        save_checkpoint(model, trained / "at_once")
+
+    assert killed(save, MID_WRITE)
+    steps = []
+    for moment in count(1):
+        ended = killed(save, moment)
+        newest = max((trained / "at_once").glob("checkpoint-*"), key=lambda path: path.name)
+        steps.append(SAC.load(newest / "model.zip", env=env, device="cpu").num_timesteps)
+        if not ended:
+            break
+    assert steps == sorted(steps)
+    assert set(steps) == {500, 700}
+    # Nothing is left of what the killed ones had begun.
+    assert len(list((trained / "at_once").glob("*checkpoint*"))) == 1
     env.close()
 
 
@@ -213,6 +257,14 @@ def test_settings_that_are_not_json(tmp_path: Path) -> None:
     path.write_text("learning_rate: 1")
     with pytest.raises(ValueError, match="must be JSON"):
         HyperParameters.from_json(path)
+
+
+def test_refused_settings_claim_no_folder(tmp_path: Path) -> None:
+    wrong = _write(tmp_path / "wrong.json", {**TINY, "sac": {**TINY["sac"], "learning_pace": 1.0}})
+    result = _train("--settings", str(wrong), "--out", str(tmp_path / "out"))
+    assert result.exit_code == 2
+    assert "learning_pace" in result.output
+    assert not (tmp_path / "out").exists()
 
 
 def test_unknown_arguments_of_sac_are_named() -> None:

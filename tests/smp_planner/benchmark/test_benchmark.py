@@ -4,6 +4,8 @@ import csv
 import dataclasses
 import json
 import os
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,7 +26,7 @@ from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest, make_manifest, read_results
-from smp_planner.benchmark.results_folder import ResultsError
+from smp_planner.benchmark.results_folder import ResultsError, row_line
 from smp_planner.benchmark.summary import (
     CSV_COLUMNS,
     mean_interval,
@@ -218,13 +220,101 @@ def test_a_torn_last_line_is_played_again(tmp_path: Path) -> None:
     assert [row.key for row in read_results(tmp_path)[1]] == keys[:2]
 
 
-def test_a_damaged_line_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda row: row, "twice"),
+        (lambda row: row.replace("promp", "prompt"), "does not belong"),
+        (lambda row: row.replace('"seed": 0', '"seed": 4'), "does not belong"),
+        (lambda row: row.replace('"seed": 0', '"seed": "0"'), "seed: .* got '0'"),
+        (lambda row: row.replace('"success": ', '"success": 1, "x": '), "success: "),
+        (lambda row: row.replace('"noise": 0.0', '"noise": NaN'), "JSON compliant"),
+        (lambda row: row.replace('"noise": 0.0', '"noise": 1e999'), "JSON compliant"),
+        (lambda row: row.replace('"noise": 0.0, ', ""), "missing"),
+        (lambda row: row.replace('"noise": 0.0, ', '"noise": 0.0, "noise": 0.0, '), "doubled"),
+        (lambda row: row.replace('"noise"', '"nose"'), "not known"),
+        (lambda row: row[:40], "Invalid JSON"),
+        (lambda row: "[]", "an object"),
+        (lambda row: "", "Invalid JSON"),
+    ],
+)
+def test_a_damaged_line_is_named(
+    tmp_path: Path, change: Callable[[str], str], message: str
+) -> None:
+    smp, promp = (fake_play(key) for key in manifest().episode_keys()[:2])
     with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(fake_play(manifest().episode_keys()[0]))
-    with (tmp_path / "episodes.jsonl").open("a") as file:
-        file.write('{"task": "Placement"}\n')
-    with pytest.raises(ResultsError, match=r"episodes\.jsonl, line 2"):
+        store.append(smp)
+    path = tmp_path / "episodes.jsonl"
+    with path.open("a") as file:
+        row = smp if message == "twice" else promp
+        file.write(change(row_line(row).decode().strip()) + "\n")
+    before = path.read_bytes()
+    with pytest.raises(ResultsError, match=rf"episodes\.jsonl, line 2.*{message}") as raised:
         EpisodeStore(tmp_path, manifest())
+    assert "\n" not in str(raised.value)
+    with pytest.raises(ResultsError, match=message):
+        read_results(tmp_path)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"goal_error": float("nan")}, "JSON compliant"),
+        ({"steps": 1.5}, "steps: .*got 1.5"),
+        ({"success": None}, "success: "),
+        ({"seed": 99}, "does not belong"),
+        ({"seed": 1}, "twice"),
+    ],
+)
+def test_a_row_that_cannot_be_read_again_is_not_written(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    first, _, second, *_ = (fake_play(key) for key in manifest().episode_keys())
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(second)
+        with pytest.raises(ResultsError, match=message):
+            store.append(dataclasses.replace(first, **change))
+        store.append(dataclasses.replace(first, goal_error=1))
+    assert read_results(tmp_path)[1] == [second, dataclasses.replace(first, goal_error=1.0)]
+
+
+def test_a_row_that_is_written_in_part_is_taken_back(tmp_path: Path) -> None:
+    first, second, *_ = (fake_play(key) for key in manifest().episode_keys())
+    path = tmp_path / "episodes.jsonl"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with EpisodeStore(tmp_path, manifest()) as store:
+        store.append(first)
+        whole = path.read_bytes()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 100, limits[1]))
+        try:
+            with pytest.raises(OSError, match=r"episodes\.jsonl"):
+                store.append(second)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert path.read_bytes() == whole
+        store.append(second)
+    assert read_results(tmp_path)[1] == [first, second]
+
+
+@pytest.mark.parametrize("gone", ["folder", "rows", "manifest", "replaced", "cut"])
+def test_a_folder_that_changes_in_mid_run_is_noticed(tmp_path: Path, gone: str) -> None:
+    out = tmp_path / "out"
+    first, second, *_ = (fake_play(key) for key in manifest().episode_keys())
+    with EpisodeStore(out, manifest()) as store:
+        store.append(first)
+        rows = out / "episodes.jsonl"
+        if gone == "folder":
+            shutil.rmtree(out)
+        elif gone == "replaced":
+            out.rename(tmp_path / "other")
+            shutil.copytree(tmp_path / "other", out)
+        elif gone == "cut":
+            os.truncate(rows, 10)
+        else:
+            (rows if gone == "rows" else out / "manifest.json").unlink()
+        with pytest.raises(ResultsError, match="removed, replaced or changed"):
+            store.append(second)
 
 
 @pytest.mark.parametrize(
@@ -270,11 +360,39 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     EpisodeStore(tmp_path, manifest()).close()
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": 99}', '{"format": 1, "a": 2}'])
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "{}", '{"format": 99}', '{"format": 1, "a": 2}', "[" * 100_000],
+    ids=lambda content: content[:20],
+)
 def test_a_damaged_manifest_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "manifest.json").write_text(content)
     with pytest.raises(ResultsError, match=r"manifest\.json is not a manifest"):
         EpisodeStore(tmp_path, manifest())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("episodes", "4"),
+        ("methods", "smp"),
+        ("versions", 5),
+        ("versions", {"numpy": 2}),
+        ("cells", []),
+        ("cells", {"Placement_hard": dataclasses.asdict(MEDIUM)}),
+        ("cells", {"Placement_medium": {"task": "Chess", "difficulty": "medium"}}),
+        ("latency", 1.5),
+        ("extra", 1),
+    ],
+)
+def test_a_manifest_of_other_types_is_refused(tmp_path: Path, name: str, value: Any) -> None:
+    EpisodeStore(tmp_path, manifest()).close()
+    path = tmp_path / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
+    for read in (lambda: EpisodeStore(tmp_path, manifest()), lambda: read_results(tmp_path)):
+        with pytest.raises(ResultsError, match=r"manifest\.json is not a manifest") as raised:
+            read()
+        assert "\n" not in str(raised.value)
 
 
 def test_no_results_is_an_error(tmp_path: Path) -> None:
@@ -355,13 +473,14 @@ from pathlib import Path
 
 from smp_gym.datasets.frozen import load_episodes
 from smp_planner.benchmark import runner
+from smp_planner.benchmark.options import run_command
 from test_benchmark import manifest, slow_play
 
+def main():
+    runner.run(manifest(40), Path({out!r}), jobs=1, player=slow_play)
+
 if __name__ == "__main__":
-    try:
-        runner.run(manifest(40), Path({out!r}), jobs=1, player=slow_play)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    run_command(main)
 """
 
 
@@ -377,7 +496,7 @@ def test_ctrl_c_leaves_a_folder_that_can_be_continued(tmp_path: Path) -> None:
     script.write_text(SLOW_RUN.format(paths=paths, out=str(out)))
     process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
     rows = out / "episodes.jsonl"
-    _wait_until(lambda: rows.exists() and rows.stat().st_size > 0, 60.0)
+    _wait_until(lambda: rows.exists() and rows.stat().st_size > 0, 240.0)
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(timeout=30) == 130
     kept = read_results(out)[1]
@@ -517,6 +636,32 @@ def test_bad_options_are_answered_with_what_exists(
     assert result.exit_code == 2
     assert message in result.output
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "--methods", "promp", "--episodes", "1", "--out", "{}/file"),
+        ("run", "--methods", "promp", "--episodes", "1", "--out", "{}/file/below"),
+        ("draw", "--out", "{}/file/below"),
+        ("show", "{}/damaged"),
+    ],
+)
+def test_an_error_of_the_system_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "damaged/manifest.json").mkdir(parents=True)
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        app([argument.format(tmp_path) for argument in arguments])
+    assert ended.value.code == 2
+    assert signal.getsignal(signal.SIGTERM) == before
+    # Before it there may be a progress bar.
+    lines = capsys.readouterr().err.splitlines()
+    lines = [line for line in lines if not line.startswith("episodes ")]
+    assert [line[:7] for line in lines] == ["error: "]
+    assert str(tmp_path) in lines[0]
 
 
 def test_run_into_other_results_is_refused(tmp_path: Path) -> None:

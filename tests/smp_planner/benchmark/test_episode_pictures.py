@@ -143,3 +143,10 @@ def test_video_has_all_frames_in_real_time(tmp_path: Path) -> None:
 def test_a_video_needs_frames(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least one"):
         write_video([], tmp_path / "empty.mp4")
+
+
+def test_a_missing_ffmpeg_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "nothing"))
+    with pytest.raises(OSError, match="nothing"):
+        write_video([np.zeros((32, 32, 3), np.uint8)], tmp_path / "film.mp4")
+    assert not list(tmp_path.iterdir())

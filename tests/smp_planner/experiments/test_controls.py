@@ -172,6 +172,17 @@ def test_a_cell_is_continued_and_its_table_says_what_its_file_says(tmp_path: Pat
     assert f"{solved / 3:.0%} (" in write_table(tmp_path).read_text()
     with pytest.raises(ResultsError, match="other settings"):
         measure(_request(tmp_path, episodes=4))
+    search = content["outcomes"]["search"]
+    for damage in (
+        {"outcomes": {"search": search[1:]}},
+        {"outcomes": {"search": [*search[1:], {**search[0], "iterations": 1.5}]}},
+        {"outcomes": {"luck": search}},
+        {"outcomes": 5},
+        {"cell": "Placement"},
+    ):
+        path.write_text(json.dumps(content | damage))
+        with pytest.raises(ResultsError, match="not a file of controls"):
+            markdown(tmp_path)
     path.write_text("{}")
     with pytest.raises(ResultsError, match="not a file of controls"):
         markdown(tmp_path)

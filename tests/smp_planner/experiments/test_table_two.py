@@ -2,7 +2,6 @@
 
 import csv
 import json
-from dataclasses import asdict
 
 import gymnasium
 import numpy as np
@@ -15,7 +14,7 @@ from smp_gym.rollout import play
 from smp_gym.scene import TASKS
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.metrics import Metrics
-from smp_planner.benchmark.results_folder import ResultsError, ResultsFolder
+from smp_planner.benchmark.results_folder import ResultsError, ResultsFolder, parse_row, row_line
 from smp_planner.experiments.controls.posed_scenes import posed
 from smp_planner.experiments.table_two import repetitions, running
 from smp_planner.experiments.table_two.figure import draw_table
@@ -24,7 +23,6 @@ from smp_planner.experiments.table_two.repetitions import (
     RepetitionKey,
     RepetitionRow,
     methods_of,
-    parse_row,
     play_repetition,
 )
 from smp_planner.experiments.table_two.report import paper_rows, summarise, write_report
@@ -105,7 +103,7 @@ def test_the_first_of_all_comes_before_the_second_of_any():
 
 def test_a_row_survives_json(rows):
     for row in rows[:12]:
-        assert parse_row(json.loads(json.dumps(asdict(row)))) == row
+        assert parse_row(RepetitionRow, row_line(row)) == row
 
 
 def test_a_run_goes_on_where_it_was_cut(tmp_path, inline):
@@ -136,10 +134,28 @@ def test_a_folder_of_other_code_is_refused(tmp_path, inline):
         running.run(keys, tmp_path, player=fake_repetition)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"repetition": 1', '"repetition": 0', "twice"),
+        ('"method": "smp"', '"method": "spm"', "does not belong"),
+        ('"modes": ', '"modes": 0.', "modes: "),
+        ('"frechet": ', '"frechet": "', "Invalid JSON"),
+        ('"wasserstein": ', '"wasserstein": 1.0, "wasserstein": ', "doubled"),
+    ],
+)
+def test_a_damaged_row_is_named(tmp_path, old, new, message):
+    lines = [row_line(fake_repetition(RepetitionKey(k, "Placement", "smp"))) for k in (0, 1)]
+    lines[1] = lines[1].replace(old.encode(), new.encode(), 1)
+    (tmp_path / "repetitions.jsonl").write_bytes(b"".join(lines))
+    with pytest.raises(ResultsError, match=f"repetitions.jsonl, line 2.*{message}"):
+        running.read(tmp_path)
+
+
 def test_a_folder_in_use_is_refused(tmp_path):
-    first = ResultsFolder(tmp_path, "rows.jsonl", parse_row, {})
+    first = ResultsFolder(tmp_path, "rows.jsonl", RepetitionRow, {}, belongs=bool)
     with pytest.raises(ResultsError, match="another run"):
-        ResultsFolder(tmp_path, "rows.jsonl", parse_row, {})
+        ResultsFolder(tmp_path, "rows.jsonl", RepetitionRow, {}, belongs=bool)
     first.close()
 
 

@@ -6,6 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_planner import SMP, Circle
+from smp_planner.movement_primitives import ProMP
+from smp_planner.movement_primitives.mixture import ProMPMixture
+from smp_planner.planning.prior import learn_prior
+from smp_planner.planning.settings import PriorSettings
 from smp_planner.planning.threads import Threads, default_threads
 
 
@@ -69,3 +75,41 @@ def test_a_plan_uses_as_many_threads_as_torch():
         assert default_threads() == 1
     finally:
         torch.set_num_threads(before)
+
+
+@pytest.fixture
+def torch_threads():
+    """Set the number of threads of torch, and set it back at the end."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+def test_what_is_learned_is_the_same_on_any_number_of_threads(torch_threads):
+    demonstrations = list(np.array(Demonstrations.load("DoubleSidedPlacement").configurations))
+    learned = []
+    for threads in (1, 2, 4):
+        torch_threads(threads)
+        several = learn_prior(demonstrations, PriorSettings()).components()
+        several = [
+            *several,
+            ProMP.fit(demonstrations),
+            *ProMPMixture.fit(demonstrations).components,
+        ]
+        learned.append([part for each in several for part in (each.mean, each.factor, each.noise)])
+        assert torch.get_num_threads() == threads
+    for other in learned[1:]:
+        assert all(torch.equal(one, two) for one, two in zip(learned[0], other, strict=True))
+
+
+def test_a_plan_is_the_same_on_any_number_of_threads(torch_threads):
+    circle = Circle((0.5, 0.5), 0.1)
+    phase = np.linspace(0.0, 1.0, 100)
+    demonstrations = [np.stack([phase, phase + 0.02 * k * phase], axis=1) for k in range(5)]
+    plans = []
+    for threads in (1, 2, 4):
+        torch_threads(threads)
+        plans.append(SMP.fit(demonstrations).adapt([circle], particles=8))
+    for plan in plans[1:]:
+        np.testing.assert_array_equal(plan.trajectories, plans[0].trajectories)
+        np.testing.assert_array_equal(plan.weights, plans[0].weights)
