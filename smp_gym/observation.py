@@ -296,7 +296,7 @@ def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
     rows = np.zeros((MAX_OBSTACLES, len(_OBSTACLE_LOW)))
     shown = obstacles[:MAX_OBSTACLES]
     if shown:
-        values = {
+        values: dict[str, Any] = {
             "present": [(1.0,)] * len(shown),
             "shape": [[float(o.shape == shape) for shape in SHAPES] for o in shown],
             "position": [o.position for o in shown],
