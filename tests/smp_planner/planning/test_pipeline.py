@@ -11,7 +11,7 @@ from smp_planner.planners import make_planner
 from smp_planner.planning import assessment
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.problem import arm_problem
-from smp_planner.planning.ranking import rank
+from smp_planner.planning.ranking import Merits, rank
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import GoalRegion
 
@@ -73,12 +73,14 @@ def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, mon
     chosen, solved, asked = plan.chosen, plan.solved, sum(checked)
     verdict = assess(problem, trajectories, settings)
     expected = rank(
-        verdict.free,
-        verdict.passing,
-        verdict.executable,
-        verdict.clearance,
-        verdict.missed,
-        costs,
+        Merits(
+            verdict.free,
+            verdict.passing,
+            verdict.executable,
+            verdict.clearance,
+            verdict.missed,
+            costs,
+        )
     )
     assert chosen == expected.argmin()
     assert solved == verdict.good.any()
