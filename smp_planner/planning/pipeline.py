@@ -43,6 +43,7 @@ __all__ = [
     "Part",
     "PlanState",
     "Stopwatch",
+    "checked_deadline",
     "condition",
     "conditioned_parts",
     "one_thread",
@@ -51,6 +52,26 @@ __all__ = [
 
 _RESERVED = 0.1
 """Share of the time until a deadline that is kept for checking the best particle."""
+
+
+def checked_deadline(deadline: Any, adaptation: Adaptation | None = None) -> float | None:
+    """Return a deadline, s, or None for none.
+
+    Args:
+        deadline: as it was given.
+        adaptation: that is to keep it, where it is known already.
+
+    Raises:
+        ValueError: it is not a positive, finite number, or the adaptation cannot keep one.
+    """
+    if deadline is None:
+        return None
+    number = isinstance(deadline, int | float | np.integer | np.floating)
+    if not number or isinstance(deadline, bool) or not (math.isfinite(deadline) and deadline > 0.0):
+        raise ValueError(f"deadline must be a positive number of seconds, got {deadline!r}")
+    if adaptation is not None and adaptation.adapt is not None and not adaptation.timely:
+        raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
+    return float(deadline)
 
 
 @contextmanager
@@ -275,11 +296,8 @@ def plan_problems(
     """
     begin = time.perf_counter()
     until = math.inf
+    deadline = checked_deadline(deadline, adaptation)
     if deadline is not None:
-        if not (math.isfinite(deadline) and deadline > 0.0):
-            raise ValueError(f"deadline must be a positive number of seconds, got {deadline}")
-        if adaptation.adapt is not None and not adaptation.timely:
-            raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
         if device is not None:
             raise ValueError(f"deadline must be None on a device, got {deadline}")
         until = begin + deadline

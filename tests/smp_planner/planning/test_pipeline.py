@@ -133,9 +133,10 @@ def test_a_deadline_that_is_over_at_once_still_gives_a_plan(planner, problem):
     assert plan.ranks[plan.chosen] == 0
 
 
-@pytest.mark.parametrize("deadline", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("deadline", [0.0, -1.0, float("nan"), float("inf"), "soon", True])
 def test_a_deadline_that_is_no_time_is_refused(planner, problem, deadline):
-    with pytest.raises(ValueError, match="deadline must be a positive number of seconds, got"):
+    message = f"deadline must be a positive number of seconds, got {deadline!r}"
+    with pytest.raises(ValueError, match=message):
         planner.plan([problem], deadline=deadline)
 
 
