@@ -145,10 +145,12 @@ class PlanState:
 
     Attributes:
         prior: digest of the prior.
+        problem: that the plan is of.
         parts: the particles, in the order of the plan.
     """
 
     prior: str
+    problem: Problem
     parts: tuple[Part, ...]
 
 
@@ -290,9 +292,9 @@ def plan_problems(
 
     Raises:
         UnreachableError: a goal is out of reach.
-        ValueError: `deadline` is not a positive number, or the adaptation or a device cannot keep
-            one; `threads` is not a positive integer; or the problems cannot be planned together on
-            a device.
+        ValueError: a problem is of another dimension than the demonstrations; `deadline` is not a
+            positive number, or the adaptation or a device cannot keep one; `threads` is not a
+            positive integer; or the problems cannot be planned together on a device.
     """
     begin = time.perf_counter()
     until = math.inf
@@ -301,6 +303,13 @@ def plan_problems(
         if device is not None:
             raise ValueError(f"deadline must be None on a device, got {deadline}")
         until = begin + deadline
+    dimension = prior.single.dimension
+    for index, problem in enumerate(problems):
+        if problem.body.dimension != dimension:
+            raise ValueError(
+                f"problems must have the {dimension} coordinates (or joints) that demonstrations "
+                f"have, got {problem.body.dimension} in problems[{index}]"
+            )
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
     wanted = settings
@@ -492,7 +501,7 @@ def _plan_of(
             until=until,
             verdict=None if finished is None else finished.verdict,
         )
-    return plan.changed(state=PlanState(prior.digest, tuple(parts)))
+    return plan.changed(state=PlanState(prior.digest, attempt.problem, tuple(parts)))
 
 
 def _weights(attempt: _Attempt) -> Tensor:

@@ -31,7 +31,7 @@ from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.pipeline import Part, PlanState, Stopwatch, condition, one_thread
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
-from smp_planner.planning.problem import Problem
+from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
 
@@ -162,7 +162,27 @@ def _checked(plan: Plan, problem: Problem, prior: Prior) -> PlanState:
         raise ValueError(
             "problem must say what is done: make it with smp_planner.planning.replanning.resumed"
         )
+    planned = state.problem
+    difference = difference_of_robots(problem.robot, planned.robot)
+    if difference:
+        raise ValueError(f"problem must be of the robot of the plan, got another {difference}")
+    if not _left_of(problem) <= _left_of(planned) or _phases(problem) != _phases(planned):
+        raise ValueError(
+            f"problem must be what is left of the plan's, with stages {_phases(planned)} and of "
+            f"{sorted(_left_of(planned))}; got {_phases(problem)} and {sorted(_left_of(problem))}: "
+            "is it of another task?"
+        )
     return state
+
+
+def _left_of(problem: Problem) -> set[str]:
+    """Return the names of constraints, but for those of where the trajectory begins."""
+    begin = (problem.clock.phase,)
+    return {c.name for c in problem.constraints if tuple(c.phases) not in (begin, (0.0,))}
+
+
+def _phases(problem: Problem) -> list[tuple[float, float]]:
+    return [(stage.first, stage.last) for stage in problem.stages]
 
 
 def _reconditioned(part: Part, component: ProMP, problem: Problem, settings: PlanSettings) -> Part:
@@ -211,7 +231,7 @@ def replan(
 
     Raises:
         ValueError: the plan is of another planner or cannot be gone on from, the problem of another
-            robot, or the adaptation is one that cannot go on.
+            robot or task, or the adaptation is one that cannot go on.
     """
     state = _checked(plan, problem, prior)
     own = adaptation.settings
@@ -268,7 +288,7 @@ def replan(
                 components=plan.components,
                 bonus=partial(_bonus, present),
             )
-    return replace(made, timings=watch.timings, state=PlanState(state.prior, tuple(parts)))
+    return replace(made, timings=watch.timings, state=PlanState(state.prior, problem, tuple(parts)))
 
 
 def _continued(

@@ -10,7 +10,7 @@ import torch
 import smp_gym  # noqa: F401
 from smp_planner.collision.verification import check_collisions
 from smp_planner.planning.clock import Clock
-from smp_planner.planning.constraints import at_phases
+from smp_planner.planning.constraints import Exactly, at_phases
 from smp_planner.planning.replanning import direction, resumed
 from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -160,3 +160,24 @@ def test_a_replan_of_another_robot_is_refused(policy, plan, rest, planar):
     other = replace(rest, body=RobotBody(planar))
     with pytest.raises(ValueError, match="must be of a robot with 6 joints, as the plan; got 2"):
         policy.planner.replan(plan, other)
+    quicker = replace(rest.robot, velocity=2.0 * rest.robot.velocity)
+    with pytest.raises(ValueError, match="must be of the robot of the plan, got another velocity"):
+        policy.planner.replan(plan, replace(rest, body=replace(rest.body, model=quicker)))
+
+
+def test_a_replan_of_another_task_is_refused(policy, plan, rest):
+    """One with a stage more, as where an object is grasped, or with another constraint."""
+    late = replace(rest.stages[0], first=0.5)
+    staged = replace(rest, stages=(*rest.stages, late))
+    pulled = replace(rest, constraints=(*rest.constraints, Exactly("elsewhere", 0.9, np.zeros(6))))
+    for other in (staged, pulled):
+        with pytest.raises(ValueError, match="is it of another task"):
+            policy.planner.replan(plan, other)
+
+
+def test_problems_of_robots_that_were_not_demonstrated_are_refused(policy, problem, planar):
+    from smp_planner.planning.bodies import RobotBody
+
+    other = replace(problem, body=RobotBody(planar))
+    with pytest.raises(ValueError, match=r"must have the 6 .* got 2 in problems\[1\]"):
+        policy.planner.plan([problem, other])
