@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,9 +34,6 @@ from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
-
-if TYPE_CHECKING:
-    from typing import Any
 
 __all__ = ["ITERATIONS", "LEAST_RATE", "direction", "replan", "resumed"]
 
@@ -129,7 +126,8 @@ def resumed(
         slope = direction(trajectory, phase)
         constraints.append(Exactly("direction at the start", phase, slope, derivative=True))
     for constraint in problem.constraints:
-        if phase == 0.0 and isinstance(constraint, Exactly) and constraint.phase == 0.0:
+        # Where the problem's own rest began binds no more, not even after a retreat.
+        if isinstance(constraint, Exactly) and constraint.phase == problem.clock.phase:
             continue
         left = _ahead(constraint, phase)
         if left is not None:
@@ -166,23 +164,19 @@ def _checked(plan: Plan, problem: Problem, prior: Prior) -> PlanState:
     difference = difference_of_robots(problem.robot, planned.robot)
     if difference:
         raise ValueError(f"problem must be of the robot of the plan, got another {difference}")
-    if not _left_of(problem) <= _left_of(planned) or _phases(problem) != _phases(planned):
+    if _task(problem) != _task(planned):
         raise ValueError(
-            f"problem must be what is left of the plan's, with stages {_phases(planned)} and of "
-            f"{sorted(_left_of(planned))}; got {_phases(problem)} and {sorted(_left_of(problem))}: "
-            "is it of another task?"
+            "problem must be of the task of the plan, with stages, constraints at the end and "
+            f"number of goals and spheres {_task(planned)}; got {_task(problem)}"
         )
     return state
 
 
-def _left_of(problem: Problem) -> set[str]:
-    """Return the names of constraints, but for those of where the trajectory begins."""
-    begin = (problem.clock.phase,)
-    return {c.name for c in problem.constraints if tuple(c.phases) not in (begin, (0.0,))}
-
-
-def _phases(problem: Problem) -> list[tuple[float, float]]:
-    return [(stage.first, stage.last) for stage in problem.stages]
+def _task(problem: Problem) -> tuple[Any, ...]:
+    """Return what problems of one task have in common, however much of them is done."""
+    stages = tuple((stage.first, stage.last) for stage in problem.stages)
+    ends = tuple(sorted(c.name for c in problem.constraints if max(c.phases) == 1.0))
+    return stages, ends, len(problem.goals), len(problem.robot.spheres.radius)
 
 
 def _reconditioned(part: Part, component: ProMP, problem: Problem, settings: PlanSettings) -> Part:

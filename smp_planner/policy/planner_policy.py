@@ -297,7 +297,7 @@ class PlannerPolicy:
 
     def _plans(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return the plans of the problems of episodes that begin, made in one call."""
-        return self.planner.plan(problems, **self._plan_options)
+        return self.planner.plan(problems, **self._plan_options) if problems else []
 
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
         problem = problem_from(decoded, digest, self._phases, grasping=self._grasping)

@@ -10,7 +10,7 @@ import torch
 import smp_gym  # noqa: F401
 from smp_planner.collision.verification import check_collisions
 from smp_planner.planning.clock import Clock
-from smp_planner.planning.constraints import Exactly, at_phases
+from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.replanning import direction, resumed
 from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -166,13 +166,20 @@ def test_a_replan_of_another_robot_is_refused(policy, plan, rest, planar):
 
 
 def test_a_replan_of_another_task_is_refused(policy, plan, rest):
-    """One with a stage more, as where an object is grasped, or with another constraint."""
-    late = replace(rest.stages[0], first=0.5)
-    staged = replace(rest, stages=(*rest.stages, late))
-    pulled = replace(rest, constraints=(*rest.constraints, Exactly("elsewhere", 0.9, np.zeros(6))))
-    for other in (staged, pulled):
-        with pytest.raises(ValueError, match="is it of another task"):
+    """One with a stage more, as where an object is grasped, or without the rest at the end."""
+    staged = replace(rest, stages=(*rest.stages, replace(rest.stages[0], first=0.5)))
+    ends = tuple(c for c in rest.constraints if c.name != "rest at the end")
+    for other in (staged, replace(rest, constraints=ends)):
+        with pytest.raises(ValueError, match="must be of the task of the plan"):
             policy.planner.replan(plan, other)
+
+
+def test_where_an_earlier_rest_began_binds_no_more_after_a_retreat(plan, rest):
+    back = resumed(rest, plan.best, Clock(PHASE - 0.2, 0.1, -0.1), rest.movable)
+    begin = [c for c in back.constraints if max(c.phases) < 1.0]
+    assert {c.phases for c in begin} == {(PHASE - 0.2,)}
+    again = resumed(back, plan.best, Clock(PHASE, 0.1, 0.1), rest.movable)
+    assert [c.name for c in again.constraints] == [c.name for c in rest.constraints]
 
 
 def test_problems_of_robots_that_were_not_demonstrated_are_refused(policy, problem, planar):
