@@ -430,11 +430,11 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         return sample_scene(self.task.name, self.difficulty, seed, self.family)
 
     def _perceive(self) -> None:
-        """Look at the obstacles, if they have moved since the last look and the next is due."""
-        obstacles = self._cell.obstacles
-        due = len(self._actions) % self._sensor.period == 0
-        if due and obstacles is not self._looked_at:
-            self._encoder.show(self._sensor.perceive(obstacles, self._cell.world))
+        """Look at the obstacles, if the next look is due and would show something else."""
+        obstacles, step = self._cell.obstacles, len(self._actions)
+        changed = self._sensor.varies or obstacles is not self._looked_at
+        if changed and step % self._sensor.period == 0:
+            self._encoder.show(self._sensor.perceive(obstacles, self._cell.world, step))
             self._looked_at = obstacles
 
     def _observe(self) -> Observation:

@@ -287,21 +287,26 @@ def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
     return _Join(codec.layout)(codec.encode(scene))
 
 
+# Looked up here once: to hash a layout takes longer than to fill its rows.
+_OBSTACLE_PLACES = tuple(_places(OBSTACLE_LAYOUT).items())
+_OBSTACLE_LOW, _OBSTACLE_HIGH = _limits(OBSTACLE_LAYOUT)
+
+
 def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
-    width = sum(f.size for f in OBSTACLE_LAYOUT)
-    rows = np.zeros((MAX_OBSTACLES, width), np.float32)
-    join = _Join(OBSTACLE_LAYOUT)
-    for row, obstacle in zip(rows, obstacles, strict=False):
-        values = {
-            "present": 1.0,
-            "shape": [float(obstacle.shape == shape) for shape in SHAPES],
-            "position": obstacle.position,
-            "quaternion": obstacle.quaternion,
-            "size": obstacle.size,
-            "velocity": obstacle.velocity,
+    rows = np.zeros((MAX_OBSTACLES, len(_OBSTACLE_LOW)))
+    shown = obstacles[:MAX_OBSTACLES]
+    if shown:
+        values: dict[str, Any] = {
+            "present": [(1.0,)] * len(shown),
+            "shape": [[float(o.shape == shape) for shape in SHAPES] for o in shown],
+            "position": [o.position for o in shown],
+            "quaternion": [o.quaternion for o in shown],
+            "size": [o.size for o in shown],
+            "velocity": [o.velocity for o in shown],
         }
-        row[:] = join(values)
-    return rows.ravel()
+        for name, place in _OBSTACLE_PLACES:
+            rows[: len(shown), place] = values[name]
+    return np.clip(rows, _OBSTACLE_LOW, _OBSTACLE_HIGH).astype(np.float32).ravel()
 
 
 def _encode_points(points: FloatArray) -> NDArray[np.float32]:

@@ -112,6 +112,7 @@ class DepthSensor:
     """
 
     period = 4
+    varies = False
 
     def __init__(self) -> None:
         self._camera = DepthCamera(np.array(CAMERA_POSITION), np.array(CAMERA_TARGET))
@@ -146,7 +147,7 @@ class DepthSensor:
         white = rng.standard_normal((_HEIGHT, _WIDTH))
         self._field = gaussian_filter(white, _PATCH_WIDTH, mode="wrap").ravel()
 
-    def perceive(self, obstacles: tuple[Obstacle, ...], world: RayCaster) -> FloatArray:
+    def perceive(self, obstacles: tuple[Obstacle, ...], world: RayCaster, step: int) -> FloatArray:
         """Return points (M, 3) m of surfaces, M at most `CLOUD_POINTS`; see `Sensor`."""
         # Other rays meet no obstacle, and of what else they meet nothing is kept.
         pixels = np.flatnonzero(_near(self._camera.position, self._rays, obstacles))

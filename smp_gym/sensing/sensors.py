@@ -1,8 +1,9 @@
 """The sensors: what an observation says of obstacles, given how they truly stand.
 
-The errors of a sensor are drawn once for an episode, as a pure function of its scene: every method,
-and every replay, perceives the same. Where obstacles move, what is perceived is the truth of the
-moment with these same errors.
+The errors of a sensor are a pure function of the scene and of the step at which it looks: every
+method, and every replay, perceives the same. One part of them stays for the episode, as that of a
+calibration does. Rows have another part that is new at every look, so that looking again is worth
+something; the camera, which takes much longer to look, has none.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from smp_gym.scene import Obstacle, Scene
 
 __all__ = [
     "DEFAULT_NOISE",
+    "LOOK_SHARE",
     "SIZE_ERROR",
     "ExactSensor",
     "NoisySensor",
@@ -28,6 +30,7 @@ __all__ = [
     "Sensor",
     "check_sensing",
     "scene_generator",
+    "scene_seed",
 ]
 
 DEFAULT_NOISE = 0.02
@@ -36,8 +39,14 @@ DEFAULT_NOISE = 0.02
 SIZE_ERROR = 0.1
 """Largest error of perceived sizes, as a share of the true ones."""
 
-_ROW_ERRORS = 1
-"""Stream of `scene_generator`."""
+LOOK_SHARE = 0.5
+"""Share of the variance of perceived positions that is drawn anew at every look."""
+
+_ROW_ERRORS, _LOOK_ERRORS = 1, 3
+"""Streams of `scene_generator`."""
+
+_BLOCK = 200
+"""Number of looks whose errors are drawn together, for one at a time would slow down the step."""
 
 
 class RayCaster(Protocol):
@@ -54,10 +63,12 @@ class Sensor(Protocol):
     """Protocol of sensors.
 
     Attributes:
-        period: environment steps from one look at moving obstacles to the next.
+        period: environment steps from one look to the next.
+        varies: whether looks differ even where all obstacles stand.
     """
 
     period: int
+    varies: bool
 
     def begin(self, scene: Scene) -> None:
         """Draw the errors of an episode, a pure function of its scene.
@@ -68,37 +79,46 @@ class Sensor(Protocol):
         ...
 
     def perceive(
-        self, obstacles: tuple[Obstacle, ...], world: RayCaster
+        self, obstacles: tuple[Obstacle, ...], world: RayCaster, step: int
     ) -> tuple[Obstacle, ...] | FloatArray:
         """Return what is perceived now: obstacles, or points (M, 3) m of their surfaces.
 
         Args:
             obstacles: all of the scene's, in its order, as they truly stand now.
             world: in which they stand.
+            step: environment steps since the episode began.
         """
         ...
+
+
+def scene_seed(scene: Scene) -> int:
+    """Return a seed that depends on the scene's content alone, made from its JSON."""
+    digest = hashlib.blake2b(scene.to_json().encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little")
 
 
 def scene_generator(scene: Scene, stream: int) -> np.random.Generator:
     """Return a source of randomness that depends on the scene's content alone.
 
     Args:
-        scene: from whose JSON the seed is made.
+        scene: from which the seed is made.
         stream: tells sources for different uses apart.
     """
-    digest = hashlib.blake2b(scene.to_json().encode(), digest_size=8).digest()
-    return np.random.default_rng([int.from_bytes(digest, "little"), stream])
+    return np.random.default_rng([scene_seed(scene), stream])
 
 
 class ExactSensor:
     """Perceives obstacles as they are."""
 
     period = 1
+    varies = False
 
     def begin(self, scene: Scene) -> None:
         """Draw nothing; see `Sensor`."""
 
-    def perceive(self, obstacles: tuple[Obstacle, ...], world: RayCaster) -> tuple[Obstacle, ...]:
+    def perceive(
+        self, obstacles: tuple[Obstacle, ...], world: RayCaster, step: int
+    ) -> tuple[Obstacle, ...]:
         """Return the obstacles; see `Sensor`."""
         return obstacles
 
@@ -106,8 +126,12 @@ class ExactSensor:
 class NoisySensor:
     """Perceives obstacles with errors of position and size.
 
-    Positions are off by N(0, `noise`) along each axis; half-extents by one factor for each
-    obstacle, uniform from 1 - `SIZE_ERROR` to 1 + `SIZE_ERROR`. Both stay for the episode.
+    A position is off by N(0, `noise`) along each axis, the sum of two parts: one stays for the
+    episode, one is drawn at every look and has `LOOK_SHARE` of the variance. So the errors of two
+    looks are correlated by 1 - `LOOK_SHARE`, and the mean of n looks is off by
+    `noise` sqrt(1 - `LOOK_SHARE` + `LOOK_SHARE` / n). Half-extents are off by one factor for each
+    obstacle, uniform from 1 - `SIZE_ERROR` to 1 + `SIZE_ERROR`, which stays for the episode.
+    Velocities and quaternions are exact.
 
     Args:
         noise: m, not negative.
@@ -117,29 +141,43 @@ class NoisySensor:
 
     def __init__(self, noise: float) -> None:
         self._noise = noise
-        self._shift, self._factor = np.empty((0, 3)), np.empty(0)
+        self.varies = noise > 0.0
+        self._seed, self._block = 0, -1
+        self._shift, self._looks = np.empty((0, 3)), np.empty((0, 0, 3))
+        self._sizes: tuple[tuple[float, ...], ...] = ()
 
     def begin(self, scene: Scene) -> None:
-        """Draw the errors of the scene's obstacles; see `Sensor`."""
-        rng = scene_generator(scene, _ROW_ERRORS)
+        """Draw the errors that stay; see `Sensor`."""
+        self._seed, self._block = scene_seed(scene), -1
+        rng = np.random.default_rng([self._seed, _ROW_ERRORS])
         count = len(scene.obstacles)
-        self._shift = self._noise * rng.standard_normal((count, 3))
-        self._factor = rng.uniform(1.0 - SIZE_ERROR, 1.0 + SIZE_ERROR, count)
-
-    def perceive(self, obstacles: tuple[Obstacle, ...], world: RayCaster) -> tuple[Obstacle, ...]:
-        """Return the obstacles with the episode's errors; see `Sensor`."""
-        return tuple(
-            Obstacle(
-                shape=obstacle.shape,
-                position=tuple((np.array(obstacle.position) + shift).tolist()),
-                quaternion=obstacle.quaternion,
-                size=tuple(
-                    REGISTRY[obstacle.shape].fitted(factor * np.array(obstacle.size)).tolist()
-                ),
-                velocity=obstacle.velocity,
-            )
-            for obstacle, shift, factor in zip(obstacles, self._shift, self._factor, strict=True)
+        self._shift = self._noise * math.sqrt(1.0 - LOOK_SHARE) * rng.standard_normal((count, 3))
+        factors = rng.uniform(1.0 - SIZE_ERROR, 1.0 + SIZE_ERROR, count)
+        self._sizes = tuple(
+            tuple(REGISTRY[obstacle.shape].fitted(factor * np.array(obstacle.size)).tolist())
+            for obstacle, factor in zip(scene.obstacles, factors, strict=True)
         )
+
+    def perceive(
+        self, obstacles: tuple[Obstacle, ...], world: RayCaster, step: int
+    ) -> tuple[Obstacle, ...]:
+        """Return the obstacles with the errors of a look; see `Sensor`."""
+        true = np.array([obstacle.position for obstacle in obstacles]).reshape(-1, 3)
+        seen = (true + self._shift + self._look(step)).tolist()
+        return tuple(
+            obstacle.model_copy(update={"position": tuple(place), "size": size, "motion": None})
+            for obstacle, place, size in zip(obstacles, seen, self._sizes, strict=True)
+        )
+
+    def _look(self, step: int) -> FloatArray:
+        """Return the errors (N, 3) m of one look alone."""
+        block, index = divmod(step, _BLOCK)
+        if block != self._block:
+            rng = np.random.default_rng([self._seed, _LOOK_ERRORS, block])
+            deviation = self._noise * math.sqrt(LOOK_SHARE)
+            self._looks = deviation * rng.standard_normal((_BLOCK, *self._shift.shape))
+            self._block = block
+        return np.asarray(self._looks[index])
 
 
 def check_sensing(sensing: str, noise: float | None) -> float:

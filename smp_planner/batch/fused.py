@@ -39,22 +39,21 @@ def _pairs(body: BodyTables) -> tuple[int, ...]:
     return tuple(itertools.chain.from_iterable(body.pair_links))
 
 
+def _parts(trajectories: Tensor) -> int:
+    """Return how many programs share a block of configurations."""
+    blocks = len(trajectories) * _blocks(trajectories[0, :, :, 0].numel())
+    return max(1, min(_MOST_PARTS, _WARPS_WANTED // blocks))
+
+
 class FusedCosts:
     """The costs of B problems, one kernel for each stage and one for the tool.
 
     Args:
         tables: the problems, in float32.
-        parts: programs that share a block of configurations; by default as many as there are too
-            few blocks.
-        registers: that a thread may have.
     """
 
-    def __init__(
-        self, tables: Tables, parts: int | None = None, registers: int = _REGISTERS
-    ) -> None:
+    def __init__(self, tables: Tables) -> None:
         self.tables = tables
-        self.parts = parts
-        self._options = {"num_warps": 1, "maxnreg": registers}
         self._whole = next(
             (
                 number
@@ -72,7 +71,7 @@ class FusedCosts:
             trajectories: (B, P, T, n) rad, contiguous.
             width: m, of the map's edge.
         """
-        parts = self._parts(trajectories)
+        parts = _parts(trajectories)
         gradient = trajectories.new_empty((parts, *trajectories.shape))
         self._collisions(trajectories, gradient, None, width, self.tables.margin, parts)
         total = gradient[0] if parts == 1 else gradient.sum(0)
@@ -82,7 +81,7 @@ class FusedCosts:
 
     def costs(self, trajectories: Tensor) -> dict[str, Tensor]:
         """Return the unweighted costs (B, P) by name, with the edge at its last width."""
-        parts = self._parts(trajectories)
+        parts = _parts(trajectories)
         values = trajectories.new_zeros((parts, len(WEIGHTED), *trajectories.shape[:3]))
         width = self.tables.edge_width[1]
         self._collisions(trajectories, None, values, width, 0.0, parts)
@@ -90,12 +89,6 @@ class FusedCosts:
         for name, tool in self.tables.tools.items():
             found[name] = tool_cost(self.tables, tool, trajectories)[0]
         return found
-
-    def _parts(self, trajectories: Tensor) -> int:
-        if self.parts is not None:
-            return self.parts
-        blocks = len(trajectories) * _blocks(trajectories[0, :, :, 0].numel())
-        return max(1, min(_MOST_PARTS, _WARPS_WANTED // blocks))
 
     def _collisions(
         self,
@@ -160,7 +153,8 @@ class FusedCosts:
             VALUES=gradient is None,
             PARTS=parts,
             BLOCK=BLOCK,
-            **self._options,
+            num_warps=1,
+            maxnreg=_REGISTERS,
         )
 
     def _tools(self, trajectories: Tensor, gradient: Tensor) -> None:

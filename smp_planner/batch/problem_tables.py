@@ -24,7 +24,7 @@ from smp_planner.collision.costs import (
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.constraints import Constraint, Reaching, ToolPath, segments
-from smp_planner.planning.problem import Problem
+from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = [
@@ -301,17 +301,16 @@ def _check_alike(problems: Sequence[Problem]) -> None:
                 )
     first = problems[0]
     for index, problem in enumerate(problems):
-        for name in ("base", "joint_origins", "end_effector", "lower", "upper", "velocity"):
-            mine = getattr(problem.robot, name)
-            for stage in problem.stages:
-                assert isinstance(stage.body, RobotBody)
-                if not np.array_equal(getattr(stage.body.model, name), mine):
-                    raise ValueError(f"stages of problems[{index}] must have one robot")
-            if not np.array_equal(mine, getattr(first.robot, name)):
-                raise ValueError(
-                    f"problems of one batch must have one robot: problems[{index}] differs from "
-                    f"problems[0] in {name}"
-                )
+        for stage in problem.stages:
+            assert isinstance(stage.body, RobotBody)
+            if difference_of_robots(stage.body.model, problem.robot):
+                raise ValueError(f"stages of problems[{index}] must have one robot")
+        difference = difference_of_robots(problem.robot, first.robot)
+        if difference:
+            raise ValueError(
+                f"problems of one batch must have one robot: problems[{index}] differs from "
+                f"problems[0] in {difference}"
+            )
         if _kind(problem) != _kind(first):
             raise ValueError(
                 "problems of one batch must be of one task: stages and constraints of "

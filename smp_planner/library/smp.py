@@ -32,7 +32,7 @@ from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot
 from smp_planner.movement_primitives import ProMP, ProMPMixture
-from smp_planner.planning.pipeline import plan_problems
+from smp_planner.planning.pipeline import checked_deadline, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
 from smp_planner.planning.settings import PriorSettings
@@ -168,6 +168,7 @@ class SMP:
         method: str | Adaptation = "smp",
         per_component: bool = True,
         settings: AdaptSettings | None = None,
+        deadline: float | None = None,
     ) -> Plan:
         """Return particles of the primitive, adapted to a scene.
 
@@ -189,31 +190,39 @@ class SMP:
             per_component: whether each mode of the demonstrations is adapted on its own; if not,
                 one Gaussian stands for all of them, as the paper's baselines have it.
             settings: map and costs.
+            deadline: s from the call, until when to adapt; the plan then depends on the machine.
+                The map is made whole, so much it may be late; see
+                `smp_planner.planning.pipeline.plan_problems`. None by default.
 
         Raises:
             ValueError: an argument out of range, of another dimension than the demonstrations, or
                 contradicting another; a start, goal or via-point inside an obstacle; or a region
                 that the robot does not reach.
         """
+        begin = time.perf_counter()
         settings = settings or AdaptSettings()
         how = _adaptation(method)
+        deadline = checked_deadline(deadline, how)
         if particles < 1:
             raise ValueError(f"particles must be at least 1, got {particles}")
         settings = settings.model_copy(update={"particles": particles})
         obstacles = (obstacles,) if isinstance(obstacles, PointCloud) else tuple(obstacles)
         model = None if self.robot is None else self.robot.model
         constraints = constraints_of(self.frame, start, via_points, goal, settings.sigma, model)
-        begin = time.perf_counter()
+        reading = time.perf_counter()
         with one_thread():
             scene = Scene(self.frame, self.robot, obstacles, radius)
             scene.refuse_blocked(constraints, settings, self.demonstrations)
             problem = scene.problem(constraints, settings, seed, self.demonstrations)
-        reading = time.perf_counter() - begin
+        reading = time.perf_counter() - reading
         prior = self.prior
         if not per_component:
             single = prior.settings.model_copy(update={"per_component": False})
             prior = replace(prior, settings=single)
-        (plan,) = plan_problems([problem], prior, how, settings)
+        if deadline is not None:
+            # What is over already leaves the least time there is.
+            deadline = max(deadline - (time.perf_counter() - begin), 1e-6)
+        (plan,) = plan_problems([problem], prior, how, settings, deadline=deadline)
         return self._outwards(plan, obstacles, reading)
 
     def _outwards(self, plan: Plan, obstacles: Sequence[PathObstacle], reading: float) -> Plan:

@@ -147,8 +147,8 @@ class PrimitivePlanner:
             particle: of the plan, that is executed; by default the best.
 
         Raises:
-            ValueError: the plan is of another planner, the problem of another robot, or the
-                method one that cannot go on from particles.
+            ValueError: the plan is of another planner, the problem of another robot or task, or
+                the method one that cannot go on from particles.
         """
         if len(self._maps) > _MOST_MAPS:
             self._maps.clear()

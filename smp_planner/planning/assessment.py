@@ -20,7 +20,7 @@ from smp_planner.planning.forecasting import parted, robot_of, runs_in_time
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
-from smp_planner.planning.ranking import demanded_and_merit, rank
+from smp_planner.planning.ranking import Merits, demanded_and_merit, rank
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = [
@@ -199,8 +199,12 @@ class _BestFirst:
 
     def _keys(self, free: BoolArray, clearance: FloatArray) -> list[tuple[float, float, int]]:
         """Return the order of `rank`, the greatest first, if particles were free and as clear."""
+        demanded, merit = demanded_and_merit(self._merits(free, clearance))
+        return list(zip(demanded.tolist(), merit.tolist(), range(len(free)), strict=True))
+
+    def _merits(self, free: BoolArray, clearance: FloatArray) -> Merits:
         limits = self._limits
-        demanded, merit = demanded_and_merit(
+        return Merits(
             free,
             limits.passing,
             limits.executable,
@@ -209,7 +213,6 @@ class _BestFirst:
             self._costs,
             self._bonus,
         )
-        return list(zip(demanded.tolist(), merit.tolist(), range(len(free)), strict=True))
 
     def _check(self, indices: IntArray) -> None:
         found = _collisions(self._problem, self._trajectories[indices], self._settings)
@@ -226,16 +229,7 @@ class _BestFirst:
         rest = np.flatnonzero(~self._checked)
         if len(rest):
             self._check(rest)
-        limits = self._limits
-        ranks = rank(
-            self._free,
-            limits.passing,
-            limits.executable,
-            self._clearance,
-            limits.missed,
-            self._costs,
-            self._bonus,
-        )
+        ranks = rank(self._merits(self._free, self._clearance))
         # A deadline may have ended the search for the best one before it was found.
         ranks[ranks < ranks[self.chosen]] += 1
         ranks[self.chosen] = 0
@@ -317,14 +311,15 @@ def make_plan(
         apart=None if verdict is None else verdict.apart,
     )
     if checks.ended_early and not checks.solved:
-        plan.__dict__["message"] = (
-            f"{reason} of the {checks.count} that were checked before the deadline: the least bad "
-            "one of them is chosen"
+        return plan.changed(
+            message=f"{reason} of the {checks.count} that were checked before the deadline: the "
+            "least bad one of them is chosen"
         )
-    elif not checks.solved:
-        plan.__dict__["message"] = (
-            f"{reason}: of {len(trajectories)} particles {int(plan.collision_free.sum())} are "
-            f"collision-free, {int(plan.executable.sum())} executable, "
+    if not checks.solved:
+        return plan.changed(
+            message=f"{reason}: of {len(trajectories)} particles "
+            f"{int(plan.collision_free.sum())} are collision-free, "
+            f"{int(plan.executable.sum())} executable, "
             f"{int(plan.passing.sum())} meet all constraints; the least bad one is chosen"
         )
     return plan

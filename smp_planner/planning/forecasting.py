@@ -1,11 +1,14 @@
-"""Which obstacles of a problem stand, and where those that move are expected."""
+"""Where obstacles are and will be: the mean of looks at what stands, the forecast of what moves."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.scene import Obstacle
 from smp_planner.collision.moving import Forecast, is_moving
 from smp_planner.collision.robot_model import RobotModel
@@ -13,7 +16,115 @@ from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["forecast_of", "parted", "robot_of", "runs_in_time"]
+__all__ = ["SURPRISE", "Looks", "forecast_of", "parted", "robot_of", "runs_in_time", "surprising"]
+
+SURPRISE = 0.015
+"""m, beyond what noise explains, by which an obstacle must be elsewhere than expected to count as
+having been moved."""
+
+_SURE = 5.0
+"""Standard deviations that noise explains: of a vector of three normal numbers, 1 in 65 000 is
+longer."""
+
+_MEMORY = 60
+"""Most looks that count in a mean: the weight of a new one never gets less than that of so many."""
+
+_ENOUGH = 24
+"""Number of changes from which on they say how large the noise is, to 15 %. With fewer, those of
+the look that is to be judged are counted among them."""
+
+
+def _positions(obstacles: Sequence[Obstacle]) -> FloatArray:
+    return np.array([o.position for o in obstacles], np.float64).reshape(-1, 3)
+
+
+def _velocities(obstacles: Sequence[Obstacle]) -> FloatArray:
+    return np.array([o.velocity for o in obstacles], np.float64).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What successive looks at the same obstacles say together.
+
+    What stands is where the mean of all looks at it says, a recursive one, m <- m + (z - m) / n. Of
+    n looks, the part of the noise that each has for itself has 1 / n of the variance in it; what
+    all have in common stays. What moves is where the last look says. A look from which noise does
+    not explain the distance to the mean begins that anew. How large the noise is follows from the
+    changes from look to look that velocities do not explain, half of whose mean square is the
+    variance along an axis; with exact looks it is 0, and the mean is the last of them.
+
+    Attributes:
+        last: obstacles as the last look has them.
+        obstacles: as all looks have them.
+        count: (N,) how many looks each place is the mean of.
+        squares: m^2, sum of the squares of unexplained changes.
+        changes: number of these.
+    """
+
+    last: tuple[Obstacle, ...]
+    obstacles: tuple[Obstacle, ...]
+    count: IntArray
+    squares: float = 0.0
+    changes: int = 0
+
+    @classmethod
+    def first(cls, obstacles: tuple[Obstacle, ...]) -> Looks:
+        """Return what the first look says."""
+        return cls(obstacles, obstacles, np.ones(len(obstacles), np.int64))
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the noise that each look has for itself, along an axis, m."""
+        return _deviation(self.squares, self.changes)
+
+    def then(self, obstacles: tuple[Obstacle, ...], seconds: float) -> Looks:
+        """Return what the looks say together with one more.
+
+        Args:
+            obstacles: as it has them, the same ones in the same order.
+            seconds: since the last look.
+        """
+        seen, mean = _positions(obstacles), _positions(self.obstacles)
+        velocity = 0.5 * (_velocities(self.last) + _velocities(obstacles))
+        change = np.square(seen - _positions(self.last) - seconds * velocity)
+        noise = self.deviation
+        if self.changes < _ENOUGH:
+            noise = _deviation(self.squares + float(change.sum()), self.changes + change.size)
+        away = np.linalg.norm(seen - mean, axis=1)
+        standing = np.array(
+            [not (is_moving(o) or is_moving(n)) for o, n in zip(self.last, obstacles, strict=True)],
+            np.bool_,
+        )
+        kept = standing & ~surprising(away, noise, 1.0 + 1.0 / self.count)
+        calm = change[kept | ~standing]
+        count = np.where(kept, np.minimum(self.count + 1, _MEMORY), 1)
+        mean = np.where(kept[:, None], mean + (seen - mean) / count[:, None], seen)
+        return Looks(
+            obstacles,
+            tuple(
+                o if n == 1 else o.model_copy(update={"position": tuple(place)})
+                for o, n, place in zip(obstacles, count, mean.tolist(), strict=True)
+            ),
+            count,
+            self.squares + float(calm.sum()),
+            self.changes + calm.size,
+        )
+
+
+def _deviation(squares: float, changes: int) -> float:
+    return math.sqrt(squares / (2.0 * changes)) if changes else 0.0
+
+
+def surprising(distance: FloatArray, deviation: float, variances: FloatArray) -> BoolArray:
+    """Return whether obstacles (N,) are elsewhere than expected by more than noise explains.
+
+    Args:
+        distance: (N,) m, from where they were expected.
+        deviation: m, of a look along an axis.
+        variances: (N,) of the difference between what was expected and what was found, in units of
+            that of a look.
+    """
+    return np.asarray(distance > SURPRISE + _SURE * deviation * np.sqrt(variances))
 
 
 def forecast_of(

@@ -44,6 +44,7 @@ __all__ = [
     "Part",
     "PlanState",
     "Stopwatch",
+    "checked_deadline",
     "condition",
     "conditioned_parts",
     "plan_problems",
@@ -51,6 +52,26 @@ __all__ = [
 
 _RESERVED = 0.1
 """Share of the time until a deadline that is kept for checking the best particle."""
+
+
+def checked_deadline(deadline: Any, adaptation: Adaptation | None = None) -> float | None:
+    """Return a deadline, s, or None for none.
+
+    Args:
+        deadline: as it was given.
+        adaptation: that is to keep it, where it is known already.
+
+    Raises:
+        ValueError: it is not a positive, finite number, or the adaptation cannot keep one.
+    """
+    if deadline is None:
+        return None
+    number = isinstance(deadline, int | float | np.integer | np.floating)
+    if not number or isinstance(deadline, bool) or not (math.isfinite(deadline) and deadline > 0.0):
+        raise ValueError(f"deadline must be a positive number of seconds, got {deadline!r}")
+    if adaptation is not None and adaptation.adapt is not None and not adaptation.timely:
+        raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
+    return float(deadline)
 
 
 class Stopwatch:
@@ -113,10 +134,12 @@ class PlanState:
 
     Attributes:
         prior: digest of the prior.
+        problem: that the plan is of.
         parts: the particles, in the order of the plan.
     """
 
     prior: str
+    problem: Problem
     parts: tuple[Part, ...]
 
 
@@ -258,20 +281,24 @@ def plan_problems(
 
     Raises:
         UnreachableError: a goal is out of reach.
-        ValueError: `deadline` is not a positive number, or the adaptation or a device cannot keep
-            one; `threads` is not a positive integer; or the problems cannot be planned together on
-            a device.
+        ValueError: a problem is of another dimension than the demonstrations; `deadline` is not a
+            positive number, or the adaptation or a device cannot keep one; `threads` is not a
+            positive integer; or the problems cannot be planned together on a device.
     """
     begin = time.perf_counter()
     until = math.inf
+    deadline = checked_deadline(deadline, adaptation)
     if deadline is not None:
-        if not (math.isfinite(deadline) and deadline > 0.0):
-            raise ValueError(f"deadline must be a positive number of seconds, got {deadline}")
-        if adaptation.adapt is not None and not adaptation.timely:
-            raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
         if device is not None:
             raise ValueError(f"deadline must be None on a device, got {deadline}")
         until = begin + deadline
+    dimension = prior.single.dimension
+    for index, problem in enumerate(problems):
+        if problem.body.dimension != dimension:
+            raise ValueError(
+                f"problems must have the {dimension} coordinates (or joints) that demonstrations "
+                f"have, got {problem.body.dimension} in problems[{index}]"
+            )
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
     wanted = settings
@@ -463,7 +490,7 @@ def _plan_of(
             until=until,
             verdict=None if finished is None else finished.verdict,
         )
-    return plan.changed(state=PlanState(prior.digest, tuple(parts)))
+    return plan.changed(state=PlanState(prior.digest, attempt.problem, tuple(parts)))
 
 
 def _weights(attempt: _Attempt) -> Tensor:

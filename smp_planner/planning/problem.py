@@ -24,8 +24,21 @@ from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose, c
 if TYPE_CHECKING:
     from smp_planner.planning.plan import Plan
 
-__all__ = ["Planner", "Problem", "Stage", "arm_problem", "arm_stage"]
+__all__ = ["Planner", "Problem", "Stage", "arm_problem", "arm_stage", "difference_of_robots"]
+
 _Kind = TypeVar("_Kind")
+
+
+_KINEMATICS = ("base", "joint_origins", "end_effector", "lower", "upper", "velocity")
+"""What tells robots apart; what they carry may differ."""
+
+
+def difference_of_robots(first: RobotModel, second: RobotModel) -> str:
+    """Return in which of its arrays one robot differs from another; empty if it is the same."""
+    for name in _KINEMATICS:
+        if not np.array_equal(getattr(first, name), getattr(second, name)):
+            return name
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

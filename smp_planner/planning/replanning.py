@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,13 +31,10 @@ from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.pipeline import Part, PlanState, Stopwatch, condition
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
-from smp_planner.planning.problem import Problem
+from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
 from smp_planner.torch_threads import one_thread
-
-if TYPE_CHECKING:
-    from typing import Any
 
 __all__ = ["ITERATIONS", "LEAST_RATE", "direction", "replan", "resumed"]
 
@@ -130,7 +127,8 @@ def resumed(
         slope = direction(trajectory, phase)
         constraints.append(Exactly("direction at the start", phase, slope, derivative=True))
     for constraint in problem.constraints:
-        if phase == 0.0 and isinstance(constraint, Exactly) and constraint.phase == 0.0:
+        # Where the problem's own rest began binds no more, not even after a retreat.
+        if isinstance(constraint, Exactly) and constraint.phase == problem.clock.phase:
             continue
         left = _ahead(constraint, phase)
         if left is not None:
@@ -163,7 +161,23 @@ def _checked(plan: Plan, problem: Problem, prior: Prior) -> PlanState:
         raise ValueError(
             "problem must say what is done: make it with smp_planner.planning.replanning.resumed"
         )
+    planned = state.problem
+    difference = difference_of_robots(problem.robot, planned.robot)
+    if difference:
+        raise ValueError(f"problem must be of the robot of the plan, got another {difference}")
+    if _task(problem) != _task(planned):
+        raise ValueError(
+            "problem must be of the task of the plan, with stages, constraints at the end and "
+            f"number of goals and spheres {_task(planned)}; got {_task(problem)}"
+        )
     return state
+
+
+def _task(problem: Problem) -> tuple[Any, ...]:
+    """Return what problems of one task have in common, however much of them is done."""
+    stages = tuple((stage.first, stage.last) for stage in problem.stages)
+    ends = tuple(sorted(c.name for c in problem.constraints if max(c.phases) == 1.0))
+    return stages, ends, len(problem.goals), len(problem.robot.spheres.radius)
 
 
 def _reconditioned(part: Part, component: ProMP, problem: Problem, settings: PlanSettings) -> Part:
@@ -212,7 +226,7 @@ def replan(
 
     Raises:
         ValueError: the plan is of another planner or cannot be gone on from, the problem of another
-            robot, or the adaptation is one that cannot go on.
+            robot or task, or the adaptation is one that cannot go on.
     """
     state = _checked(plan, problem, prior)
     own = adaptation.settings
@@ -269,7 +283,7 @@ def replan(
                 components=plan.components,
                 bonus=partial(_bonus, present),
             )
-    return replace(made, timings=watch.timings, state=PlanState(state.prior, tuple(parts)))
+    return replace(made, timings=watch.timings, state=PlanState(state.prior, problem, tuple(parts)))
 
 
 def _continued(

@@ -8,6 +8,7 @@ of the world it reads from the observation, so it runs wherever an agent runs: b
 from __future__ import annotations
 
 import hashlib
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,9 @@ from numpy.typing import NDArray
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space, space_of
+from smp_planner.batch.problem_tables import checked_device
 from smp_planner.planners.registry import Method, resolve
+from smp_planner.planning.pipeline import checked_deadline
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Planner, Problem
 from smp_planner.policy.grasping import learn_grasping
@@ -61,6 +64,23 @@ class Execution:
     pursuit: Pursuit | None = None
 
 
+def _plan_options(planner: Planner, device: str | None, deadline: float | None) -> dict[str, Any]:
+    """Return the arguments of `Planner.plan` beside the problems, those that are given."""
+    if device is not None:
+        checked_device(device)
+    options = {"device": device, "deadline": checked_deadline(deadline)}
+    given = {name: value for name, value in options.items() if value is not None}
+    if len(given) > 1:
+        raise ValueError(f"deadline must be None on a device, got {deadline} and {device!r}")
+    for name, value in given.items():
+        if name not in inspect.signature(planner.plan).parameters:
+            raise ValueError(
+                f"{name} must be None for {type(planner).__name__}, whose plan(problems) takes "
+                f"none; got {value!r}"
+            )
+    return given
+
+
 def _replanning(planner: Planner, every: int | None, latency: int) -> Replanning | None:
     """Return when plans are made anew; None if they are not."""
     # The latency is checked in any case.
@@ -91,10 +111,16 @@ class PlannerPolicy:
             where an obstacle is not where it was expected or the arm lags. None plans once.
         latency: control steps from asking for a plan, the first included, to its taking effect,
             whatever time planning took.
+        device: on which the plans of all episodes that begin in one call of `predict` are made
+            together, "cuda" or "cpu"; None plans them on the processor, each as it is planned
+            alone. Plans are made anew on the processor in any case.
+        deadline: s, for all plans that one call of `predict` makes for episodes that begin; actions
+            then depend on the machine. None by default.
 
     Raises:
-        ValueError: `replan_every` or `latency` is no positive whole number, or the planner cannot
-            make plans anew.
+        ValueError: `replan_every` or `latency` is no positive whole number, there is no such
+            device, `deadline` is no positive number, or the planner cannot make plans anew or does
+            not take one of these.
     """
 
     def __init__(
@@ -105,8 +131,11 @@ class PlannerPolicy:
         *,
         replan_every: int | None = None,
         latency: int = LATENCY,
+        device: str | None = None,
+        deadline: float | None = None,
     ) -> None:
         self.replanning = _replanning(planner, replan_every, latency)
+        self._plan_options = _plan_options(planner, device, deadline)
         self.planner = planner
         self.demonstrations = demonstrations
         self.task = demonstrations.task
@@ -130,6 +159,8 @@ class PlannerPolicy:
         seed: int = 0,
         replan_every: int | None = None,
         latency: int = LATENCY,
+        device: str | None = None,
+        deadline: float | None = None,
     ) -> PlannerPolicy:
         """Return a policy by the name of its method.
 
@@ -139,18 +170,26 @@ class PlannerPolicy:
             task: whose shipped demonstrations to learn from; or give `demonstrations`.
             demonstrations: what to learn from, in place of the shipped ones.
             settings: settings of the method by name.
-            seed: see the class, as the next two.
+            seed: see the class, as the next four.
             replan_every: when plans are made anew.
             latency: when they take effect.
+            device: on which the plans of episodes are made together.
+            deadline: of these.
 
         Raises:
-            ValueError: unknown method, task or setting; the message lists what exists.
+            ValueError: unknown method, task or setting, the message lists what exists; or see the
+                class.
         """
         if demonstrations is None:
             if task is None:
                 raise ValueError("task or demonstrations must be given, got neither")
             demonstrations = Demonstrations.load(task)
-        options = {"replan_every": replan_every, "latency": latency}
+        options = {
+            "replan_every": replan_every,
+            "latency": latency,
+            "device": device,
+            "deadline": deadline,
+        }
         return cls._of(resolve(method), demonstrations, settings or {}, seed, options)
 
     @classmethod
@@ -182,8 +221,9 @@ class PlannerPolicy:
         """Return actions, and the state to hand back with the next observation.
 
         A plan is made when an observation says that nothing of its episode has elapsed, or when
-        there is no state. `episode_start` does not decide: `evaluate_policy` leaves it True for
-        environments that have played their share.
+        there is no state; those of environments that begin together are made in one call of the
+        planner. `episode_start` does not decide: `evaluate_policy` leaves it True for environments
+        that have played their share.
 
         Args:
             observation: one observation or a batch of E, as dict or flattened.
@@ -217,7 +257,8 @@ class PlannerPolicy:
             if executions[i] is None or executions[i].digest != digest  # type: ignore[union-attr]
         ]
         problems = [self._problem(decoded[i], digests[i]) for i in due]
-        for i, problem, plan in zip(due, problems, self.planner.plan(problems), strict=True):
+        plans = self._plans(problems)
+        for i, problem, plan in zip(due, problems, plans, strict=True):
             executions[i] = self._execution(plan, problem, decoded[i], deterministic)
         ready = tuple(e for e in executions if e is not None)
         moved = [self._acted(execution, row) for execution, row in zip(ready, decoded, strict=True)]
@@ -251,8 +292,12 @@ class PlannerPolicy:
 
     def plan(self, observation: Mapping[str, NDArray[Any]] | NDArray[Any]) -> Plan:
         """Return the plan for one observation, as `predict` makes it; see `problem`."""
-        (plan,) = self.planner.plan([self.problem(observation)])
+        (plan,) = self._plans([self.problem(observation)])
         return plan
+
+    def _plans(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return the plans of the problems of episodes that begin, made in one call."""
+        return self.planner.plan(problems, **self._plan_options) if problems else []
 
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
         problem = problem_from(decoded, digest, self._phases, grasping=self._grasping)
@@ -337,6 +382,8 @@ class PlannerPolicy:
         *,
         replan_every: int | None = None,
         latency: int = LATENCY,
+        device: str | None = None,
+        deadline: float | None = None,
     ) -> PlannerPolicy:
         """Read what `save` wrote; runs no code from the file, nor any that the file names.
 
@@ -344,8 +391,10 @@ class PlannerPolicy:
             path: of the file.
             factory: what makes the planner, where the method was given as ``name=module:Class``:
                 that class.
-            replan_every: see the class, as the next; a file does not say it.
+            replan_every: see the class, as the next three; a file does not say them.
             latency: when plans take effect.
+            device: on which the plans of episodes are made together.
+            deadline: of these.
 
         Raises:
             ValueError: the file is damaged, not a policy, or of another version, its method is
@@ -361,5 +410,10 @@ class PlannerPolicy:
             )
         else:
             method = resolve(saved.method)
-        options = {"replan_every": replan_every, "latency": latency}
+        options = {
+            "replan_every": replan_every,
+            "latency": latency,
+            "device": device,
+            "deadline": deadline,
+        }
         return cls._of(method, saved.demonstrations, saved.settings, saved.seed, options)

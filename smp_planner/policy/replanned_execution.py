@@ -19,7 +19,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.control import reference_action
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation
 from smp_gym.robot.kinematics import UnreachableError
@@ -28,7 +28,7 @@ from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.moving import clearance_in_time, is_moving
 from smp_planner.planning.clock import RAMP, Clock
 from smp_planner.planning.constraints import at_phases
-from smp_planner.planning.forecasting import forecast_of
+from smp_planner.planning.forecasting import Looks, forecast_of, surprising
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.replanning import LEAST_RATE, resumed
@@ -49,9 +49,6 @@ LOOKAHEAD = 30
 
 SAFE_DISTANCE = 0.005
 """m, beyond the margins of what moves, that count as safe."""
-
-SURPRISE = 0.015
-"""m, by which an obstacle may be elsewhere than expected before a plan is asked for at once."""
 
 LAG = 0.15
 """rad, by which a joint may lag behind its reference before the arm slows down."""
@@ -154,6 +151,7 @@ class Pursuit:
             executed.
         most: 1/s, highest rate of the phase whatever the limits of the joints are.
         expected: the problem that a plan was last asked for, with what it expects of obstacles.
+        weight: (N,) of how many looks at each obstacle that is the mean.
         observed: step of the observation that this one is of.
         begins: step at which the first plan takes effect.
         phase: that has been reached.
@@ -162,7 +160,8 @@ class Pursuit:
         clearance: m, of the course that was chosen last, margins taken off.
         asked: step at which a plan was last asked for.
         pending: what was asked for and has not taken effect.
-        seen: obstacles of the last observations, with their steps.
+        seen: obstacles as they were known at the last observations, with their steps.
+        looks: at obstacles, all together.
         corners: phases at which the trajectory may change its direction, for it was planned from
             rest there; they are passed at rest only, ascending.
         closing: control steps for which the arm still stands while the hand closes.
@@ -180,6 +179,7 @@ class Pursuit:
     limits: FloatArray
     most: float
     expected: Problem
+    weight: IntArray
     observed: int
     begins: int
     phase: float = 0.0
@@ -189,6 +189,7 @@ class Pursuit:
     asked: int = 0
     pending: _Pending | None = None
     seen: tuple[tuple[int, tuple[Obstacle, ...]], ...] = ()
+    looks: Looks | None = None
     corners: tuple[float, ...] = ()
     closing: int = 0
     arrived: int | None = None
@@ -233,6 +234,7 @@ def begin(
         limits=_limits(problem, trajectory),
         most=MOST_HASTE / min(float(plan.duration[particle]), float(np.median(plan.duration))),
         expected=problem,
+        weight=np.ones(len(problem.movable), np.int64),
         observed=step,
         begins=step + replanning.latency,
         asked=step,
@@ -302,16 +304,19 @@ def _turns(
     return turns
 
 
-def _surprising(
-    pursuit: Pursuit, now: Sequence[Obstacle], step: int, settings: PlanSettings
-) -> bool:
-    """Return whether an obstacle is not where the present plan expected it."""
-    if not now:
+def _surprising(pursuit: Pursuit, looks: Looks, step: int, settings: PlanSettings) -> bool:
+    """Return whether an obstacle is not where the present plan expected it, and noise is not why.
+
+    The expectation is a mean of looks, as what is known now; both may have looks in common.
+    """
+    if not looks.obstacles:
         return False
     forecast = forecast_of(pursuit.expected.movable, pursuit.expected.turns, settings)
     expected = forecast.positions((step - pursuit.observed) * CONTROL_PERIOD)
-    actual = np.array([obstacle.position for obstacle in now])
-    return bool((np.linalg.norm(actual - expected, axis=1) > SURPRISE).any())
+    actual = np.array([obstacle.position for obstacle in looks.obstacles])
+    away = np.linalg.norm(actual - expected, axis=1)
+    variances = 1.0 / pursuit.weight + 1.0 / looks.count
+    return bool(surprising(away, looks.deviation, variances).any())
 
 
 def _near(pursuit: Pursuit, now: Sequence[Obstacle]) -> list[Obstacle]:
@@ -353,6 +358,7 @@ def _ask(
     pursuit: Pursuit,
     planner: Replanner,
     decoded: DecodedObservation,
+    looks: Looks,
     turns: Mapping[Obstacle, tuple[float, ...]],
     replanning: Replanning,
 ) -> Pursuit:
@@ -380,7 +386,7 @@ def _ask(
         pursuit.problem,
         pursuit.trajectory,
         Clock(phase, delay, begins, pursuit.most),
-        decoded.scene.obstacles,
+        looks.obstacles,
         turns,
         cloud,
     )
@@ -391,12 +397,20 @@ def _ask(
         try:
             (plan,) = planner.plan([replace(problem, seed=problem.seed + 1 + pursuit.replans)])
         except UnreachableError:
-            return replace(pursuit, asked=step, expected=problem, observed=step, stuck=0)
+            return replace(
+                pursuit,
+                asked=step,
+                expected=problem,
+                weight=looks.count,
+                observed=step,
+                stuck=0,
+            )
     failed = not plan.good.any()
     return replace(
         pursuit,
         asked=step,
         expected=problem,
+        weight=looks.count,
         observed=step,
         pending=_Pending(step + latency, plan, problem, standing, backwards),
         replans=pursuit.replans + 1,
@@ -468,10 +482,14 @@ def pursue(
         event: of the gripper, if there is one.
         replanning: when plans are made anew.
     """
-    step, now = decoded.elapsed_steps, decoded.scene.obstacles
-    settings = planner.plan_settings
+    step, settings = decoded.elapsed_steps, planner.plan_settings
+    looks = Looks.first(decoded.scene.obstacles)
+    if pursuit.looks is not None:
+        seconds = (step - pursuit.seen[-1][0]) * CONTROL_PERIOD
+        looks = pursuit.looks.then(decoded.scene.obstacles, seconds)
+    now = looks.obstacles
     seen = (*(entry for entry in pursuit.seen if step - entry[0] <= _TURN_WINDOW[1]), (step, now))
-    pursuit = replace(pursuit, seen=seen)
+    pursuit = replace(pursuit, seen=seen, looks=looks)
     turns = _turns(seen)
     if pursuit.pending is not None and step >= pursuit.pending.due:
         pursuit = _take_effect(pursuit, now, turns, settings)
@@ -481,8 +499,8 @@ def pursue(
     if pursuit.pending is None and not idle:
         due = step - pursuit.asked >= replanning.every
         threatened = pursuit.clearance < SAFE_DISTANCE
-        if due or lagging or threatened or _surprising(pursuit, now, step, settings):
-            pursuit = _ask(pursuit, planner, decoded, turns, replanning)
+        if due or lagging or threatened or _surprising(pursuit, looks, step, settings):
+            pursuit = _ask(pursuit, planner, decoded, looks, turns, replanning)
     if opened or step < pursuit.begins or pursuit.closing > 0:
         pursuit = replace(pursuit, closing=max(pursuit.closing - 1, 0))
     else:

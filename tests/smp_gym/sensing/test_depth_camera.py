@@ -82,7 +82,7 @@ def test_a_share_of_what_is_seen_is_lost_in_patches(env):
     rays = sensor._rays
     names, _ = world.cast_rays(sensor.camera.position.tolist(), sensor.camera.position + 2.5 * rays)
     seen = np.array([name.startswith("obstacle_") for name in names])
-    points = sensor.perceive(env.scene.obstacles, world)
+    points = sensor.perceive(env.scene.obstacles, world, 0)
     assert 200 < len(points) < CLOUD_POINTS
     assert len(points) == seen.sum() - round(LOST_SHARE * seen.sum())
     directions = (points - sensor.camera.position) / np.linalg.norm(
@@ -166,7 +166,7 @@ def test_a_camera_inside_a_body_is_refused_and_the_episode_goes_on(env):
 def test_moving_obstacles_are_seen_where_they_are(env):
     env.reset(options={"scene": scene_of_cubes()})
     sensor, world = env._sensor, env._cell.world
-    here = sensor.perceive(env.scene.obstacles, world)
+    here = sensor.perceive(env.scene.obstacles, world, 0)
     shift = np.array([0.0, 0.05, 0.05])
     moved = tuple(
         o.model_copy(update={"position": tuple((o.position + shift).tolist())})
@@ -175,7 +175,7 @@ def test_moving_obstacles_are_seen_where_they_are(env):
     for name, obstacle in zip(world.obstacles, moved, strict=True):
         world.place(name, obstacle.position, obstacle.quaternion)
     world.detect_contacts()
-    there = sensor.perceive(moved, world)
+    there = sensor.perceive(moved, world, 4)
     assert np.abs(signed_distance(there, moved)).max() < 0.015
     assert np.abs(signed_distance(here, moved)).max() > 0.03
     assert isinstance(sensor, DepthSensor)

@@ -294,6 +294,24 @@ def test_inference_stops_early_where_particles_are_good_and_only_there(primitive
     np.testing.assert_array_equal(whole.trajectories, short.trajectories)
 
 
+def test_a_deadline_ends_the_iterations(primitive, plan):
+    """Without it so many would take hours; one that is far off changes nothing."""
+    endless = adaptation("smp", iterations=10**7)
+    hurried = primitive.adapt(OBSTACLES, **ENDS, method=endless, settings=UNSEEN, deadline=0.3)
+    assert hurried.trajectories.shape == plan.trajectories.shape
+    assert np.isfinite(hurried.trajectories).all()
+    far, free = (
+        primitive.adapt(OBSTACLES, **ENDS, method=SHORT, settings=UNSEEN, particles=4, deadline=d)
+        for d in (1e4, None)
+    )
+    np.testing.assert_array_equal(far.trajectories, free.trajectories)
+
+
+def test_a_method_that_keeps_no_deadline_says_so(primitive):
+    with pytest.raises(ValueError, match=r"deadline must be None for this adaptation, got 0\.5"):
+        primitive.adapt(OBSTACLES, **ENDS, method="cpromp", deadline=0.5)
+
+
 def test_a_hopeless_scene_is_said_to_be_one(primitive):
     wall = Rectangle((100.0, 0.0), (5.0, 5000.0))
     plan = primitive.adapt([wall], **ENDS, method=SHORT, particles=5)
@@ -337,6 +355,9 @@ def test_drawing(plan, tmp_path):
         ({"start": GoalRegion(np.zeros(3), np.zeros(3), np.ones(3))}, "start must be a point"),
         ({"particles": 0}, "particles must be at least 1, got 0"),
         ({"radius": -1.0}, "radius must not be negative, got -1"),
+        ({"deadline": 0.0}, r"deadline must be a positive number of seconds, got 0\.0"),
+        ({"deadline": float("nan")}, "deadline must be a positive .* got nan"),
+        ({"deadline": "soon"}, "deadline must be a positive .* got 'soon'"),
         ({"method": "rrt"}, "method must be one of smp, promp"),
     ],
 )

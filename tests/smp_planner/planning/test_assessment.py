@@ -23,7 +23,7 @@ from smp_planner.planning.assessment import free_waypoints, signatures
 from smp_planner.planning.modes import group
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import arm_problem
-from smp_planner.planning.ranking import rank
+from smp_planner.planning.ranking import Merits, rank
 from smp_planner.planning.tool_goals import GoalRegion
 from smp_planner.policy.observed_problem import problem_from
 
@@ -108,7 +108,7 @@ def test_ways_to_two_goals_differ_whatever_is_between():
 
 def test_the_order_is_that_of_what_is_demanded_and_then_of_likeness():
     free = np.array([True, True, False, True])
-    places = rank(
+    merits = Merits(
         free=free,
         passing=np.ones(4, bool),
         executable=np.array([True, True, True, False]),
@@ -116,6 +116,7 @@ def test_the_order_is_that_of_what_is_demanded_and_then_of_likeness():
         missed={},
         costs={"prior": np.array([5.0, 3.0, 0.0, 1.0])},
     )
+    places = rank(merits)
     np.testing.assert_array_equal(places, [1, 0, 3, 2])
 
 

@@ -11,7 +11,7 @@ from smp_planner.planners import make_planner
 from smp_planner.planning import assessment
 from smp_planner.planning.assessment import assess, make_plan
 from smp_planner.planning.problem import arm_problem
-from smp_planner.planning.ranking import rank
+from smp_planner.planning.ranking import Merits, rank
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import GoalRegion
 
@@ -73,12 +73,14 @@ def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, mon
     chosen, solved, asked = plan.chosen, plan.solved, sum(checked)
     verdict = assess(problem, trajectories, settings)
     expected = rank(
-        verdict.free,
-        verdict.passing,
-        verdict.executable,
-        verdict.clearance,
-        verdict.missed,
-        costs,
+        Merits(
+            verdict.free,
+            verdict.passing,
+            verdict.executable,
+            verdict.clearance,
+            verdict.missed,
+            costs,
+        )
     )
     assert chosen == expected.argmin()
     assert solved == verdict.good.any()
@@ -131,9 +133,10 @@ def test_a_deadline_that_is_over_at_once_still_gives_a_plan(planner, problem):
     assert plan.ranks[plan.chosen] == 0
 
 
-@pytest.mark.parametrize("deadline", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("deadline", [0.0, -1.0, float("nan"), float("inf"), "soon", True])
 def test_a_deadline_that_is_no_time_is_refused(planner, problem, deadline):
-    with pytest.raises(ValueError, match="deadline must be a positive number of seconds, got"):
+    message = f"deadline must be a positive number of seconds, got {deadline!r}"
+    with pytest.raises(ValueError, match=message):
         planner.plan([problem], deadline=deadline)
 
 

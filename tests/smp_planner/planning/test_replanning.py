@@ -160,3 +160,31 @@ def test_a_replan_of_another_robot_is_refused(policy, plan, rest, planar):
     other = replace(rest, body=RobotBody(planar))
     with pytest.raises(ValueError, match="must be of a robot with 6 joints, as the plan; got 2"):
         policy.planner.replan(plan, other)
+    quicker = replace(rest.robot, velocity=2.0 * rest.robot.velocity)
+    with pytest.raises(ValueError, match="must be of the robot of the plan, got another velocity"):
+        policy.planner.replan(plan, replace(rest, body=replace(rest.body, model=quicker)))
+
+
+def test_a_replan_of_another_task_is_refused(policy, plan, rest):
+    """One with a stage more, as where an object is grasped, or without the rest at the end."""
+    staged = replace(rest, stages=(*rest.stages, replace(rest.stages[0], first=0.5)))
+    ends = tuple(c for c in rest.constraints if c.name != "rest at the end")
+    for other in (staged, replace(rest, constraints=ends)):
+        with pytest.raises(ValueError, match="must be of the task of the plan"):
+            policy.planner.replan(plan, other)
+
+
+def test_where_an_earlier_rest_began_binds_no_more_after_a_retreat(plan, rest):
+    back = resumed(rest, plan.best, Clock(PHASE - 0.2, 0.1, -0.1), rest.movable)
+    begin = [c for c in back.constraints if max(c.phases) < 1.0]
+    assert {c.phases for c in begin} == {(PHASE - 0.2,)}
+    again = resumed(back, plan.best, Clock(PHASE, 0.1, 0.1), rest.movable)
+    assert [c.name for c in again.constraints] == [c.name for c in rest.constraints]
+
+
+def test_problems_of_robots_that_were_not_demonstrated_are_refused(policy, problem, planar):
+    from smp_planner.planning.bodies import RobotBody
+
+    other = replace(problem, body=RobotBody(planar))
+    with pytest.raises(ValueError, match=r"must have the 6 .* got 2 in problems\[1\]"):
+        policy.planner.plan([problem, other])

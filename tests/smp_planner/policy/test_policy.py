@@ -9,8 +9,10 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 import smp_gym  # noqa: F401
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import SUCCESS_REWARD
 from smp_gym.observation import MAX_EPISODE_STEPS
+from smp_planner.planners import make_planner
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 ID = "smp_gym/Placement-v0"
@@ -65,18 +67,80 @@ def test_it_succeeds_in_the_physics_and_plans_once(policy, env, monkeypatch):
     assert calls == [1] * 4
 
 
-def test_single_batched_raw_and_flattened_observations_act_alike(policy, env):
+def test_single_batched_raw_and_flattened_observations_act_alike(policy, env, monkeypatch):
     rows = [first(env, seed) for seed in (0, 1)]
     flat = [spaces.flatten(policy.observation_space, row) for row in rows]
-    single = [policy.predict(row, deterministic=True)[0] for row in rows]
+    alone = [policy.predict(row, deterministic=True) for row in rows]
+    single = [action for action, _ in alone]
     batch = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+    calls = counting(policy, monkeypatch)
     together, state = policy.predict(batch, deterministic=True)
     assert together.shape == (2, 7)
-    assert len(state) == 2
     np.testing.assert_array_equal(together, single)
+    # Both are planned in one call, and the plans are those of each alone.
+    assert calls == [2]
+    assert len(state) == 2
+    for mine, (_, (other,)) in zip(state, alone, strict=True):
+        np.testing.assert_array_equal(mine.plan.trajectories, other.plan.trajectories)
+        np.testing.assert_array_equal(mine.plan.ranks, other.plan.ranks)
     np.testing.assert_array_equal(policy.predict(np.stack(flat), deterministic=True)[0], single)
     np.testing.assert_array_equal(policy.predict(flat[1], deterministic=True)[0], single[1])
     assert policy.action_space.contains(single[0])
+
+
+@pytest.fixture(scope="module")
+def conditioned():
+    """A planner that is quick, and the demonstrations that it has learned from."""
+    demonstrations = Demonstrations.load("Placement")
+    settings = {"particles": 2, "samples": 200}
+    return make_planner("promp", "Placement", settings=settings), demonstrations
+
+
+def test_episodes_that_begin_together_are_planned_on_a_device(conditioned, env):
+    planner, demonstrations = conditioned
+    policy = PlannerPolicy(planner, demonstrations, device="cpu")
+    rows = [first(env, seed) for seed in (0, 1)]
+    batch = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+    _, state = policy.predict(batch, deterministic=True)
+    for execution, row in zip(state, rows, strict=True):
+        (alone,) = planner.plan([policy.problem(row)])
+        mine = execution.plan
+        np.testing.assert_allclose(mine.trajectories, alone.trajectories, atol=1e-9)
+        np.testing.assert_array_equal(mine.good, alone.good)
+        # A device checks in single precision, which tells that it was one.
+        assert (mine.clearance == mine.clearance.astype(np.float32)).all()
+        assert (alone.clearance != alone.clearance.astype(np.float32)).any()
+
+
+def test_plans_keep_a_deadline(conditioned, env):
+    """No time is left to check more than one particle of each episode."""
+    planner, demonstrations = conditioned
+    policy = PlannerPolicy(planner, demonstrations, deadline=1e-6)
+    plan = policy.plan(first(env, 0))
+    assert plan.solved or "of the 1 that were checked before the deadline" in plan.message
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"deadline": 0.0}, r"deadline must be a positive number of seconds, got 0\.0"),
+        ({"deadline": -1}, "deadline must be a positive number of seconds, got -1"),
+        ({"deadline": float("nan")}, "deadline must be a positive number of seconds, got nan"),
+        ({"deadline": "soon"}, "deadline must be a positive number of seconds, got 'soon'"),
+        ({"device": "cuda:99"}, "device must be one of 'cpu'.*got 'cuda:99'"),
+        ({"device": "gpu"}, "device must be 'cpu' or 'cuda', got 'gpu'"),
+        ({"device": "cpu", "deadline": 1.0}, r"deadline must be None on a device, got 1\.0"),
+    ],
+)
+def test_bad_devices_and_deadlines_are_refused(conditioned, options, message):
+    with pytest.raises(ValueError, match=message):
+        PlannerPolicy(*conditioned, **options)
+
+
+@pytest.mark.parametrize("option", [{"device": "cpu"}, {"deadline": 1.0}])
+def test_a_planner_that_takes_neither_device_nor_deadline_is_named(option):
+    with pytest.raises(ValueError, match=r"must be None for RRTConnectPlanner, whose plan"):
+        PlannerPolicy.make("rrt_connect", "Placement", **option)
 
 
 def test_stochastic_acting_draws_a_good_particle(policy, env):

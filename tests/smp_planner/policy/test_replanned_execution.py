@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 import smp_gym  # noqa: F401
-from smp_gym.observation import CONTROL_PERIOD, state_field
+from smp_gym.observation import CONTROL_PERIOD, decode, state_field
 from smp_gym.robot.kinematics import JOINT_VELOCITY
+from smp_gym.sampling import sample_scene
+from smp_gym.scene import Obstacle
 from smp_planner.planning.clock import RAMP
 from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -95,6 +97,36 @@ def test_the_present_trajectory_is_followed_until_the_new_one_begins(played):
 def test_the_same_episode_is_played_the_same(policy, env, played):
     _, actions, _, _ = play(policy, env, 73_001, steps=40)
     np.testing.assert_array_equal(actions, played[1][:40])
+
+
+def test_noise_asks_for_no_plan_and_plans_are_made_of_the_mean_of_all_looks():
+    """Bodies stand far from the arm, and are seen 5 cm off."""
+    every, steps = 15, 20
+    policy = PlannerPolicy.make(
+        "promp", "Placement", settings={"particles": 2, "samples": 50}, replan_every=every
+    )
+    far = [
+        Obstacle(shape="sphere", position=(-0.6, y, 0.2), size=(0.05,) * 3)
+        for y in (-0.5, -0.2, 0.2, 0.5)
+    ]
+    scene = sample_scene("Placement", "none", 73_001).model_copy(update={"obstacles": tuple(far)})
+    env = gym.make("smp_gym/Placement-v0", difficulty="none", sensing="noise", noise=0.05)
+    observation, _ = env.reset(options={"scene": scene})
+    state, looks = None, []
+    for step in range(steps):
+        action, state = policy.predict(observation, state, deterministic=True)
+        pursuit = state[0].pursuit
+        seen = decode(observation, "Placement").scene.obstacles
+        looks.append([obstacle.position for obstacle in seen])
+        known = np.array([obstacle.position for obstacle in pursuit.looks.obstacles])
+        np.testing.assert_allclose(known, np.mean(looks, axis=0), atol=1e-9)
+        assert pursuit.asked == (0 if step < every else every)
+        if step == every:
+            assert pursuit.pending.problem.movable == pursuit.looks.obstacles
+        observation, *_ = env.step(action)
+    env.close()
+    assert pursuit.replans == 1
+    assert np.ptp(looks, axis=0).max() > 0.05
 
 
 @pytest.mark.parametrize("name", ["replan_every", "latency"])
