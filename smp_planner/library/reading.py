@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import csv
 import zipfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, shown
+from smp_planner.library.csv_table import read_csv
 from smp_planner.movement_primitives.samples import checked_demonstrations
 
-__all__ = ["demonstrations_of", "read_csv", "read_npz"]
+__all__ = ["demonstrations_of", "read_npz"]
 
 _NUMBERED = "demonstration_"
 
 
-def demonstrations_of(given: Any, *, nan_is_missing: bool = False) -> tuple[FloatArray, ...]:
+def demonstrations_of(
+    given: Any, joints: Sequence[str] | None = None, *, nan_is_missing: bool = False
+) -> tuple[FloatArray, ...]:
     """Return demonstrations as read-only arrays (T_j, D) of one dimension.
 
     Args:
         given: (N, T, D), N arrays (T_j, D), or a file: see `read_npz` and `read_csv`.
+        joints: names of the joints whose angles they are; see `read_csv`.
         nan_is_missing: see `ProMP.fit`.
 
     Raises:
@@ -30,17 +34,26 @@ def demonstrations_of(given: Any, *, nan_is_missing: bool = False) -> tuple[Floa
             one, not all of one dimension, or a number that is neither finite nor missing.
     """
     if isinstance(given, str | Path):
-        readers = {".npz": read_npz, ".csv": read_csv}
-        suffix = Path(given).suffix.lower()
-        if suffix not in readers:
+        path = Path(given)
+        if path.suffix.lower() not in (".npz", ".csv"):
             raise ValueError(f"demonstrations must be a .npz or .csv file, got {str(given)!r}")
-        given = readers[suffix](Path(given))
-    tensors = checked_demonstrations(
-        [np.array(one, np.float64) for one in given], nan_is_missing=nan_is_missing
-    )
+        try:
+            if path.suffix.lower() == ".npz":
+                return _fixed(read_npz(path), nan_is_missing)
+            return _fixed(read_csv(path, joints, nan_is_missing=nan_is_missing), nan_is_missing)
+        except ValueError as error:
+            named = str(path) in str(error)
+            raise error if named else ValueError(f"{path}: {error}") from error
+    if isinstance(given, np.ma.MaskedArray) or not isinstance(given, Iterable):
+        raise ValueError(f"demonstrations must be arrays of numbers, got {shown(given)}")
+    return _fixed(given, nan_is_missing)
+
+
+def _fixed(given: Iterable[Any], nan_is_missing: bool) -> tuple[FloatArray, ...]:
+    tensors = checked_demonstrations(given, nan_is_missing=nan_is_missing)
     checked = []
     for tensor in tensors:
-        path: FloatArray = tensor.numpy()
+        path: FloatArray = np.array(tensor.detach().cpu().numpy(), np.float64)
         path.setflags(write=False)
         checked.append(path)
     return tuple(checked)
@@ -73,52 +86,3 @@ def read_npz(path: Path) -> list[FloatArray]:
         f"{path} must hold an array 'demonstrations' or arrays '{_NUMBERED}0', '{_NUMBERED}1' ...; "
         f"got {found}"
     )
-
-
-def read_csv(path: Path) -> list[FloatArray]:
-    """Return the demonstrations of a `.csv` file, in the order in which they first appear.
-
-    Its first line names the columns: `demonstration`, which tells rows of different demonstrations
-    apart; `time`, optional; and one for each coordinate. With times, which rise within a
-    demonstration, samples are interpolated to equal steps; without, they stand at such.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: a column is missing, a row is too short or too long, an entry is no number, or
-            times do not rise.
-    """
-    rows: dict[str, list[list[float]]] = {}
-    with open(path, newline="", encoding="utf-8") as file:
-        lines = csv.reader(file)
-        names = [name.strip() for name in next(lines, [])]
-        columns = [name for name in names if name not in ("demonstration", "time")]
-        if "demonstration" not in names or not columns:
-            raise ValueError(
-                f"{path} must have the columns demonstration, time (optional) and one for each "
-                f"coordinate, got {', '.join(names) or 'none'}"
-            )
-        for line in lines:
-            if not line:
-                continue
-            where = f"{path}, line {lines.line_num}"
-            if len(line) != len(names):
-                raise ValueError(f"{where} must have {len(names)} entries, got {len(line)}")
-            entries = dict(zip(names, line, strict=True))
-            try:
-                numbers = [float(entries[name]) for name in ("time", *columns) if name in entries]
-            except ValueError as error:
-                raise ValueError(f"{where} must hold numbers: {error}") from error
-            rows.setdefault(entries["demonstration"].strip(), []).append(numbers)
-    given = {name: np.array(samples) for name, samples in rows.items()}
-    if "time" not in names:
-        return list(given.values())
-    return [_evenly(name, samples, path) for name, samples in given.items()]
-
-
-def _evenly(name: str, samples: FloatArray, path: Path) -> FloatArray:
-    """Return the coordinates (T, D) of samples (T, 1 + D), interpolated to equal steps of time."""
-    times = samples[:, 0]
-    if not (np.diff(times) > 0.0).all():
-        raise ValueError(f"{path}: times of demonstration {name!r} must rise, got {times}")
-    even = np.linspace(times[0], times[-1], len(times))
-    return np.stack([np.interp(even, times, column) for column in samples[:, 1:].T], axis=1)

@@ -116,7 +116,8 @@ class SMP:
         """
         smooth_std = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
         learning = PriorSettings(**{"smooth_std": smooth_std, **settings})
-        given = demonstrations_of(demonstrations, nan_is_missing=learning.nan_is_missing)
+        joints = None if robot is None else robot.joints
+        given = demonstrations_of(demonstrations, joints, nan_is_missing=learning.nan_is_missing)
         return cls(given, learning, robot)
 
     def save(self, path: str | Path) -> None:

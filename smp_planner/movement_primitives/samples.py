@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from smp_gym.arrays import checked_array
 
 __all__ = ["checked_demonstrations", "equal_stacks"]
 
@@ -29,8 +30,7 @@ def checked_demonstrations(
     """
     checked: list[Tensor] = []
     for index, given in enumerate(demonstrations):
-        d = given if isinstance(given, Tensor) else torch.from_numpy(np.array(given, np.float64))
-        d = d if d.is_floating_point() else d.double()
+        d = _tensor(given, index)
         if d.ndim != 2 or d.shape[0] < 2 or d.shape[1] < 1:
             raise ValueError(
                 f"demonstrations[{index}] must have shape (T, D) with T of at least 2, "
@@ -46,6 +46,12 @@ def checked_demonstrations(
     if len(checked) < fewest:
         raise ValueError(f"demonstrations must be at least {fewest}, got {len(checked)}")
     return checked
+
+
+def _tensor(given: Any, index: int) -> Tensor:
+    if isinstance(given, Tensor) and given.is_floating_point():
+        return given
+    return torch.from_numpy(checked_array(f"demonstrations[{index}]", given, nan=True))
 
 
 def _check_numbers(demonstration: Tensor, index: int, nan_is_missing: bool) -> None:

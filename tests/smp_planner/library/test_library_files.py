@@ -75,7 +75,7 @@ def test_times_make_steps_equal(tmp_path):
         (b"x,y\n1,2\n", "must have the columns .* got x, y"),
         (b"demonstration,time\na,1\n", "must have the columns"),
         (b"demonstration,x\na,1,2\n", "line 2 must have 2 entries, got 3"),
-        (b"demonstration,x\na,1\na,one\n", "line 3 must hold numbers"),
+        (b"demonstration,x\na,1\na,one\n", "line 3, column 'x' must hold numbers"),
         (b"demonstration,time,x\na,1,0\na,1,1\n", "times of demonstration 'a' must rise"),
         (b"demonstration,x\na,1\na,2\n", "at least 2, got 1"),
     ],
