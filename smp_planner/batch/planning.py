@@ -22,7 +22,7 @@ from smp_planner.batch.descent import BatchCosts, DeviceTarget, Graphs, PathRuns
 from smp_planner.batch.plain_costs import PlainCosts, plain_gaps
 from smp_planner.batch.problem_tables import Tables, checked_device
 from smp_planner.collision.costs import VELOCITY_FRACTION
-from smp_planner.collision.verification import CLEARANCE_TOLERANCE
+from smp_planner.collision.verification import CLEARANCE_TOLERANCE, LIMIT_TOLERANCE
 from smp_planner.movement_primitives import ProMP, phases
 from smp_planner.planning.assessment import Verdict, constraints_met
 from smp_planner.planning.own_costs import OwnCost
@@ -263,6 +263,7 @@ class DevicePlanner:
         )
         steps = trajectories.shape[2]
         duration = (trajectories.diff(dim=2).abs() / speed).amax((2, 3)) * (steps - 1)
+        lower, upper = lower - LIMIT_TOLERANCE, upper + LIMIT_TOLERANCE
         within = ((trajectories >= lower) & (trajectories <= upper)).all(3).all(2)
         executable = within & (duration <= settings.duration_limit)
         columns = [

@@ -173,6 +173,10 @@ class RobotModel:
             )
         object.__setattr__(self, "collision_pairs", pairs)
 
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        return f"RobotModel({self.joints} joints, {len(self.link)} spheres)"
+
     @property
     def joints(self) -> int:
         """Number of joints n."""

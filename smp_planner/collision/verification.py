@@ -30,6 +30,7 @@ from smp_planner.occupancy.grid import DistanceGrid, lookup
 __all__ = [
     "CLEARANCE_TOLERANCE",
     "DURATION_LIMIT",
+    "LIMIT_TOLERANCE",
     "CollisionCheck",
     "Verification",
     "check_collisions",
@@ -44,6 +45,10 @@ CLEARANCE_TOLERANCE = 1e-3
 
 DURATION_LIMIT = 15.0
 """Seconds within which an executable trajectory is finished."""
+
+LIMIT_TOLERANCE = 1e-6
+"""rad by which a configuration may be beyond a joint's limit: what is conditioned to be at the
+limit lands within rounding of it, and encoders and texts round, too."""
 
 SELF_HORIZON = 0.05
 """Distance, m, from which on pairs of spheres of the arm are not told apart."""
@@ -352,13 +357,14 @@ def minimum_duration(
 
 
 def within_joint_limits(trajectories: ArrayLike, robot: RobotModel) -> BoolArray:
-    """Return (P,) whether trajectories (P,T,n) rad stay within the joint limits.
+    """Return (P,) whether trajectories (P,T,n) rad stay within the joint limits, up to rounding.
 
     Raises:
         ValueError: wrong shape or not finite.
     """
     q = check_trajectories(trajectories, robot.joints)
-    inside: BoolArray = np.all((q >= robot.lower) & (q <= robot.upper), axis=(1, 2))
+    above, below = q >= robot.lower - LIMIT_TOLERANCE, q <= robot.upper + LIMIT_TOLERANCE
+    inside: BoolArray = np.all(above & below, axis=(1, 2))
     return inside
 
 

@@ -42,6 +42,7 @@ def write_primitive(
     }
     if robot is not None:
         arrays["joints"] = np.array(json.dumps(robot.joints))
+        arrays["continuous"] = np.array(robot.continuous)
         arrays |= {f"robot_{name}": getattr(robot.model, name) for name in _CHAIN}
         arrays |= {f"spheres_{name}": getattr(robot.model.spheres, name) for name in _SPHERES}
     write_archive(path, _HEADER, arrays)
@@ -72,6 +73,7 @@ def read_primitive(
                     collision_pairs=np.empty((0, 2), np.int64),
                 ),
                 tuple(json.loads(str(arrays["joints"]))),
+                tuple(arrays["continuous"].tolist()),
             )
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error

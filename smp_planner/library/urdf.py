@@ -6,55 +6,22 @@ frame that is turned so. Its base frame is that of the URDF's root link. Metres 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.etree import ElementTree as ET
+from typing import Any
 
 import numpy as np
-import trimesh
 from scipy.spatial.transform import Rotation
 
-from smp_gym.arrays import FloatArray
-from smp_gym.geometry.registry import REGISTRY
+from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.library.covering import cover_mesh
+from smp_planner.collision.verification import LIMIT_TOLERANCE
+from smp_planner.library.covering import MOST_SPHERES, cover_link
+from smp_planner.library.urdf_reading import Description, Joint, Link, read_description
 
-__all__ = ["CONTINUOUS_LIMIT", "Robot"]
-
-CONTINUOUS_LIMIT = 4.0 * math.pi
-"""rad in either direction, limits of a continuous joint for which the URDF names none."""
-
-
-@dataclass(frozen=True)
-class _Joint:
-    """A joint of a URDF, as far as geometry and limits go."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    origin: FloatArray
-    axis: FloatArray
-    lower: float
-    upper: float
-    velocity: float
-    is_mimic: bool
-
-    @property
-    def is_fixed(self) -> bool:
-        return self.kind == "fixed"
-
-    def held_at(self, position: float) -> FloatArray:
-        """Return the pose (4, 4) of the child in the parent at a position, rad or m."""
-        pose = np.eye(4)
-        if self.kind in ("revolute", "continuous"):
-            pose[:3, :3] = Rotation.from_rotvec(position * self.axis).as_matrix()
-        elif self.kind == "prismatic":
-            pose[:3, 3] = position * self.axis
-        return np.asarray(self.origin @ pose)
+__all__ = ["Robot"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +34,24 @@ class Robot:
         model: the chain; its `collision_pairs` are left to `SMP.fit`, which sees from the
             demonstrations what may come near to what.
         joints: (n) names of its joints, in the order of a configuration's coordinates.
+        continuous: (n) whether a turn of 2 pi changes nothing about a joint; none by default.
     """
 
     model: RobotModel
     joints: tuple[str, ...]
+    continuous: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
+        for name in ("joints", "continuous"):
+            if len(getattr(self, name)) != self.model.joints:
+                raise ValueError(
+                    f"Robot.{name} must have {self.model.joints} entries, got {getattr(self, name)}"
+                )
+
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        return f"Robot({self.dimension} joints, {len(self.model.link)} spheres)"
 
     @classmethod
     def from_urdf(
@@ -80,47 +61,48 @@ class Robot:
         *,
         held: Mapping[str, float] | None = None,
         cell: float = 0.06,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        velocities: Mapping[str, float] | None = None,
+        bodiless: Iterable[str] = (),
+        packages: Mapping[str, str | Path] | None = None,
     ) -> Robot:
         """Read the chain from the root link to a tip.
 
         What hangs on the chain beside it, such as fingers, moves with the link that it hangs on.
 
         Args:
-            path: the file; meshes are found relative to it, `package://` names among the
-                folders above it.
+            path: the file. A mesh named without a package lies in the file's folder or in the
+                package (`package.xml`) around it, that of a package in the folder of its name
+                above the file, or beside such a one.
             tip: link whose origin is the tool.
-            held: joints that stand still, and where (rad or m). Joints beside the chain that are
-                not named stand at 0, or at the limit that is nearest to it.
+            held: joints that stand still, and where (rad or m). Mimic joints follow what they
+                mimic. Joints beside the chain that are not named stand at 0, or at the limit that
+                is nearest to it.
             cell: m, size of the pieces of a collision shape that each get a sphere.
+            limits: (lower, upper), rad, by joint, in place of those of the file.
+            velocities: limits of velocity, rad/s, by joint, likewise.
+            bodiless: links that move and are known to have no body. Others that have a visual
+                shape must have a collision shape, and each joint must move at least one.
+            packages: folders by the name of the package, in which meshes may lie, too.
 
         Raises:
             FileNotFoundError: no such file, or a mesh is missing.
-            ValueError: not a URDF, no such link or joint, no moving joint on the chain, or a
-                joint of the chain that is neither revolute, continuous, fixed nor held.
+            ValueError: not a URDF, no such link or joint, no moving joint on the chain, a joint of
+                the chain that is neither revolute, continuous, fixed nor held or has no limits, a
+                link without body, or more than `covering.MOST_SPHERES` spheres; the message names
+                joint or link, and attribute.
         """
-        file = Path(path)
-        try:
-            root = ET.fromstring(file.read_bytes())
-        except ET.ParseError as error:
-            raise ValueError(f"{file} is not a URDF: {error}") from error
-        if root.tag != "robot":
-            raise ValueError(f"{file} is not a URDF: its root is <{root.tag}>, not <robot>")
-        links = {link.get("name", ""): link for link in root.findall("link")}
-        joints = [_read_joint(element) for element in root.findall("joint")]
-        for joint in joints:
-            for end in (joint.parent, joint.child):
-                if end not in links:
-                    raise ValueError(
-                        f"joint {joint.name!r} names the link {end!r}, which is not there"
-                    )
+        cell = checked_number("cell", cell, above=0.0)
+        description = read_description(path, packages)
+        links = description.links
         if tip not in links:
             raise ValueError(f"tip must be one of {', '.join(links)}; got {tip!r}")
-        held = dict(held or {})
-        unknown = set(held) - {joint.name for joint in joints}
-        if unknown:
-            raise ValueError(f"held names joints that {file} lacks: {', '.join(sorted(unknown))}")
-        chain = _moving_chain(joints, tip, held)
-        return _assembled(file, links, joints, chain, tip, held, cell)
+        joints = _limited({j.name: j for j in description.joints}, limits, velocities)
+        chain = _chain_to(joints, tip)
+        positions = _positions(joints, {joint.name for joint in chain}, _checked_held(held, joints))
+        moving = [joint for joint in chain if positions[joint.name] is None]
+        _check_moving(moving, tip)
+        return _assembled(description, joints, positions, moving, tip, cell, bodiless)
 
     @property
     def dimension(self) -> int:
@@ -132,116 +114,176 @@ class Robot:
         return self.model.carried_points(configurations, np.zeros(3))[0]
 
 
-def _numbers(text: str | None, default: str) -> FloatArray:
-    return np.array([float(word) for word in (text or default).split()])
+def _named(name: str, given: Any, joints: Mapping[str, Joint]) -> dict[str, Any]:
+    """Return an argument that maps joints to something."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{name} must map names of joints to numbers, got {shown(given)}")
+    unknown = sorted(str(joint) for joint in given if joint not in joints)
+    if unknown:
+        raise ValueError(f"{name} names joints that the URDF lacks: {', '.join(unknown)}")
+    return dict(given)
 
 
-def _origin(element: ET.Element | None) -> FloatArray:
-    pose = np.eye(4)
-    if element is not None:
-        pose[:3, :3] = Rotation.from_euler("xyz", _numbers(element.get("rpy"), "0 0 0")).as_matrix()
-        pose[:3, 3] = _numbers(element.get("xyz"), "0 0 0")
-    return pose
+def _limited(joints: Mapping[str, Joint], limits: Any, velocities: Any) -> dict[str, Joint]:
+    """Return joints with the limits that replace those of the URDF."""
+    changed = dict(joints)
+    for name, given in _named("limits", limits, joints).items():
+        lower, upper = checked_array(f"limits[{name!r}]", given, (2,)).tolist()
+        if not lower < upper:
+            raise ValueError(f"limits[{name!r}] must be (lower, upper) of a range, got {given}")
+        changed[name] = replace(changed[name], lower=lower, upper=upper)
+    for name, given in _named("velocities", velocities, joints).items():
+        velocity = checked_number(f"velocities[{name!r}]", given, above=0.0)
+        changed[name] = replace(changed[name], velocity=velocity)
+    return changed
 
 
-def _read_joint(element: ET.Element) -> _Joint:
-    def link(tag: str) -> str:
-        found = element.find(tag)
-        return "" if found is None else found.get("link", "")
-
-    axis = element.find("axis")
-    direction = _numbers(None if axis is None else axis.get("xyz"), "1 0 0")
-    kind, limit = element.get("type", ""), element.find("limit")
-    limits = {} if limit is None else limit.attrib
-    name = element.get("name", "")
-    length = float(np.linalg.norm(direction))
-    if kind != "fixed" and not length > 0.0:
-        raise ValueError(f"joint {name!r} must have an axis that is not zero, got {direction}")
-    endless = kind == "continuous"
-    return _Joint(
-        name=name,
-        kind=kind,
-        parent=link("parent"),
-        child=link("child"),
-        origin=_origin(element.find("origin")),
-        axis=direction / (length or 1.0),
-        lower=float(limits.get("lower", -CONTINUOUS_LIMIT if endless else 0.0)),
-        upper=float(limits.get("upper", CONTINUOUS_LIMIT if endless else 0.0)),
-        velocity=float(limits.get("velocity", 0.0)),
-        is_mimic=element.find("mimic") is not None,
-    )
+def _checked_held(held: Any, joints: Mapping[str, Joint]) -> dict[str, float]:
+    positions = {}
+    for name, given in _named("held", held, joints).items():
+        joint, position = joints[name], checked_number(f"held[{name!r}]", given)
+        if joint.is_fixed:
+            raise ValueError(f"held names the joint {name!r}, which is fixed")
+        bounded = joint.kind in ("revolute", "prismatic") and joint.lower <= joint.upper
+        beyond = max(joint.lower - position, position - joint.upper)
+        if bounded and beyond > LIMIT_TOLERANCE:
+            raise ValueError(
+                f"held[{name!r}] must be within the joint's limits [{joint.lower}, {joint.upper}], "
+                f"got {position}"
+            )
+        positions[name] = position
+    return positions
 
 
-def _moving_chain(
-    joints: Sequence[_Joint], tip: str, held: Mapping[str, float]
-) -> tuple[_Joint, ...]:
-    """Return the joints from the root to a tip that move."""
-    above = {joint.child: joint for joint in joints}
+def _positions(
+    joints: Mapping[str, Joint], on_chain: Set[str], held: Mapping[str, float]
+) -> dict[str, float | None]:
+    """Return where each joint stands, rad or m; None for those that move."""
+    positions: dict[str, float | None] = {}
+    for joint in joints.values():
+        # A mimic joint stands as what it follows, which may be one, too.
+        passed, factor, offset = [joint], 1.0, 0.0
+        while passed[-1].name not in held and passed[-1].follows is not None:
+            source, by, plus = passed[-1].follows
+            factor, offset = factor * by, factor * plus + offset
+            passed.append(joints[source])
+            if len(passed) > len(joints):
+                raise ValueError(f"joint {joint.name!r} mimics itself, by {source!r}")
+        last = passed[-1]
+        if last.name in held:
+            positions[joint.name] = factor * held[last.name] + offset
+        elif last.is_fixed or last.name not in on_chain:
+            positions[joint.name] = factor * last.nearest_to_zero + offset
+        elif len(passed) > 1:
+            raise ValueError(
+                f"joint {joint.name!r} is a mimic of {last.name!r}, which moves: it must be held"
+            )
+        else:
+            positions[joint.name] = None
+    return positions
+
+
+def _chain_to(joints: Mapping[str, Joint], tip: str) -> list[Joint]:
+    """Return the joints from the root to a tip."""
+    above = {joint.child: joint for joint in joints.values()}
     chain, link = [], tip
     while link in above:
-        joint = above.pop(link)
-        chain.append(joint)
-        link = joint.parent
-    moving = tuple(j for j in reversed(chain) if not j.is_fixed and j.name not in held)
-    for joint in moving:
-        if joint.kind not in ("revolute", "continuous") or joint.is_mimic:
-            kind = "mimic" if joint.is_mimic else joint.kind
+        chain.append(above[link])
+        link = above[link].parent
+    return chain[::-1]
+
+
+def _check_moving(chain: Sequence[Joint], tip: str) -> None:
+    if not chain:
+        raise ValueError(f"tip {tip!r} must be moved by at least one joint, got none")
+    for joint in chain:
+        if joint.kind not in ("revolute", "continuous"):
             raise ValueError(
-                f"joint {joint.name!r} in the chain to {tip!r} is {kind}; only revolute and "
+                f"joint {joint.name!r} in the chain to {tip!r} is {joint.kind}; only revolute and "
                 f"continuous joints can be planned for, others must be held"
             )
-        if not joint.lower < joint.upper or not joint.velocity > 0.0:
+        numbers = (joint.lower, joint.upper, joint.velocity)
+        if not (np.isfinite(numbers).all() and joint.lower < joint.upper and joint.velocity > 0.0):
             raise ValueError(
                 f"joint {joint.name!r} must have a range and a velocity limit, got "
-                f"[{joint.lower}, {joint.upper}] rad and {joint.velocity} rad/s"
+                f"[{joint.lower}, {joint.upper}] rad and {joint.velocity} rad/s; others can be "
+                f"given as limits={{{joint.name!r}: (lower, upper)}} and "
+                f"velocities={{{joint.name!r}: velocity}}"
             )
-    if not moving:
-        raise ValueError(f"tip {tip!r} must be moved by at least one joint, got none")
-    return moving
+
+
+def _check_bodies(
+    links: Mapping[str, Link], indices: Mapping[str, int], count: int, bodiless: Any
+) -> None:
+    """Raise a ValueError if a link moves of which no collision shape is known."""
+    if isinstance(bodiless, str) or not isinstance(bodiless, Iterable):
+        raise ValueError(f"bodiless must be names of links, got {shown(bodiless)}")
+    named = set(bodiless)
+    wrong = sorted(str(name) for name in named if name not in links or links[name].shapes)
+    if wrong:
+        raise ValueError(f"bodiless must be links without collision shapes, got {wrong[0]!r}")
+    bare = [
+        name
+        for name, link in links.items()
+        if indices[name] > 0 and link.visible and not link.shapes
+    ]
+    for index in range(1, count + 1):
+        group = [name for name in links if indices[name] == index]
+        if not any(links[name].shapes or name in bare for name in group):
+            bare += group
+    missing = [name for name in bare if name not in named]
+    if missing:
+        raise ValueError(
+            f"links that move must have collision shapes, but {', '.join(missing)} "
+            "have none: nothing could be said of their collisions; if they have no body, say so by "
+            f"bodiless={tuple(missing)!r}"
+        )
 
 
 def _assembled(
-    file: Path,
-    links: Mapping[str, ET.Element],
-    joints: Sequence[_Joint],
-    chain: tuple[_Joint, ...],
+    description: Description,
+    joints: Mapping[str, Joint],
+    positions: Mapping[str, float | None],
+    chain: Sequence[Joint],
     tip: str,
-    held: Mapping[str, float],
     cell: float,
+    bodiless: Any,
 ) -> Robot:
-    children = {joint.child for joint in joints}
-    roots = [name for name in links if name not in children]
-    if len(roots) != 1:
-        raise ValueError(f"{file} must have one root link, got {roots}")
+    links = description.links
+    children: dict[str, list[Joint]] = {name: [] for name in links}
+    for joint in joints.values():
+        children[joint.parent].append(joint)
+    below = {joint.child for joint in joints.values()}
+    root = next(name for name in links if name not in below)
     # Of each link, the moving one that it is fixed to, and its pose there.
-    placed: dict[str, tuple[int, FloatArray]] = {roots[0]: (0, np.eye(4))}
+    placed: dict[str, tuple[int, FloatArray]] = {root: (0, np.eye(4))}
     origins = np.empty((len(chain), 4, 4))
-    waiting = [roots[0]]
+    waiting = [root]
     while waiting:
         parent = waiting.pop()
         index, pose = placed[parent]
-        for joint in joints:
-            if joint.parent != parent:
-                continue
-            if joint in chain:
+        for joint in children[parent]:
+            position = positions[joint.name]
+            if position is None:
                 number = chain.index(joint)
                 turn = np.eye(4)
                 turn[:3, :3] = _turning_z_to(joint.axis)
                 origins[number] = pose @ joint.origin @ turn
                 placed[joint.child] = number + 1, turn.T
             else:
-                at = held.get(joint.name, min(max(0.0, joint.lower), joint.upper))
-                placed[joint.child] = index, pose @ joint.held_at(at)
+                placed[joint.child] = index, pose @ joint.held_at(position)
             waiting.append(joint.child)
-    if len(placed) != len(links):
-        apart = ", ".join(sorted(set(links) - set(placed)))
-        raise ValueError(f"{file} has links that are not joined to its root: {apart}")
-    link, spheres = [], []
+    _check_bodies(links, {name: index for name, (index, _) in placed.items()}, len(chain), bodiless)
+    link: list[int] = []
+    spheres = [np.empty((0, 4))]
     for name, (index, pose) in placed.items():
-        for sphere in _link_spheres(file, links[name], cell):
-            link.append(index)
-            spheres.append([*(pose[:3, :3] @ sphere[:3] + pose[:3, 3]), sphere[3]])
-    data = np.array(spheres).reshape(-1, 4)
+        cover = cover_link(links[name], cell, MOST_SPHERES - len(link))
+        link += [index] * len(cover)
+        centers = cover[:, :3] @ pose[:3, :3].T + pose[:3, 3]
+        spheres.append(np.column_stack([centers, cover[:, 3]]))
+    data = np.concatenate(spheres)
     model = RobotModel(
         base=np.eye(4),
         joint_origins=origins,
@@ -252,47 +294,10 @@ def _assembled(
         spheres=SphereSet(np.array(link, np.int64), data[:, :3], data[:, 3]),
         collision_pairs=np.empty((0, 2), np.int64),
     )
-    return Robot(model, tuple(joint.name for joint in chain))
+    names = tuple(joint.name for joint in chain)
+    return Robot(model, names, tuple(joint.kind == "continuous" for joint in chain))
 
 
 def _turning_z_to(axis: FloatArray) -> FloatArray:
     """Return a rotation (3, 3) that takes the z axis to a unit vector."""
     return np.asarray(Rotation.align_vectors(axis[None], [[0.0, 0.0, 1.0]])[0].as_matrix())
-
-
-def _link_spheres(file: Path, link: ET.Element, cell: float) -> Iterator[FloatArray]:
-    """Yield spheres (4,) that cover the collision shapes of a link, in its frame."""
-    for collision in link.findall("collision"):
-        geometry = collision.find("geometry")
-        if geometry is None or not len(geometry):
-            raise ValueError(f"a collision of link {link.get('name')!r} has no geometry")
-        pose = _origin(collision.find("origin"))
-        for sphere in _covering(file, geometry[0], cell):
-            yield np.array([*(pose[:3, :3] @ sphere[:3] + pose[:3, 3]), sphere[3]])
-
-
-def _covering(file: Path, shape: ET.Element, cell: float) -> FloatArray:
-    if shape.tag == "mesh":
-        mesh = trimesh.load(_mesh_file(file, shape.get("filename", "")), force="mesh")
-        mesh.apply_transform(np.diag([*_numbers(shape.get("scale"), "1 1 1"), 1.0]))
-        return cover_mesh(mesh, cell)
-    given = {
-        "box": _numbers(shape.get("size"), "0 0 0").tolist(),
-        "cylinder": [float(shape.get("length", 0)), float(shape.get("radius", 0))],
-        "sphere": [float(shape.get("radius", 0))],
-    }
-    if shape.tag not in given:
-        raise ValueError(f"geometry must be box, cylinder, sphere or mesh, got <{shape.tag}>")
-    kind = REGISTRY[shape.tag]
-    return kind.cover(kind.of_dimensions(given[shape.tag]), cell)
-
-
-def _mesh_file(file: Path, name: str) -> Path:
-    """Return where a mesh is that a URDF names."""
-    within = name.partition("://")[2] if "://" in name else name
-    for folder in file.resolve().parents:
-        if (folder / within).is_file():
-            return folder / within
-    raise FileNotFoundError(
-        f"{file} names the mesh {name!r}, which is not found beside or above it"
-    )

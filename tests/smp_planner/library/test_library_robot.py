@@ -151,6 +151,7 @@ def test_meshes_are_covered(tmp_path):
     joint = '<joint name="weld" type="fixed"><parent link="tool"/><child link="part"/></joint>'
     (tmp_path / "urdf").mkdir()
     (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "package.xml").touch()
     (tmp_path / "shape.stl").rename(tmp_path / "arm" / "shape.stl")
     robot = Robot.from_urdf(written(tmp_path / "urdf", extra=TOOL + link + joint), "tool")
     tall = mesh.copy()
