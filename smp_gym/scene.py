@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     FiniteFloat,
@@ -26,7 +27,7 @@ from pydantic import (
     model_validator,
 )
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array
 from smp_gym.geometry.registry import REGISTRY, SHAPES
 
 __all__ = [
@@ -136,13 +137,23 @@ def _family(name: str) -> str:
     return name
 
 
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Configuration = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+def _plain(value: Any) -> Any:
+    """Return a vector of real numbers as plain floats."""
+    if type(value) in (tuple, list) and all(type(entry) in (float, int) for entry in value):
+        return value
+    return tuple(checked_array("the vector", value).tolist())
+
+
+_Plain = BeforeValidator(_plain)
+Vector3 = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], _Plain]
+Configuration = Annotated[
+    tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], _Plain
+]
 Quaternion = Annotated[
-    tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_unit)
+    tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], _Plain, AfterValidator(_unit)
 ]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Size = tuple[Positive, Positive, Positive]
+Size = Annotated[tuple[Positive, Positive, Positive], _Plain]
 
 
 class _Frozen(BaseModel):

@@ -44,7 +44,7 @@ class SteinSettings(BaseModel):
 
     inference: str = "default"
     iterations: int = Field(default=100, ge=1)
-    step_size: float | None = Field(default=None, gt=0.0)
+    step_size: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
     early_stop: bool = False
     good_share: float = Field(default=0.9, gt=0.0, le=1.0)
 

@@ -25,6 +25,6 @@ class AdaptSettings(PlanSettings):
     """
 
     map: Literal["exact", "shapes", "points"] = "exact"
-    map_points: int = Field(default=20_000, ge=100)
+    map_points: int = Field(default=20_000, ge=100, le=10_000_000)
     map_steps: int = Field(default=2000, ge=1)
     obstacle_weight: float = Field(default=20.0, gt=0.0, allow_inf_nan=False)

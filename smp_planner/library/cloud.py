@@ -6,7 +6,6 @@ assessed on it. It is learned once for a cloud and a workspace and kept with the
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_planner.library.frame import Frame
 from smp_planner.occupancy.neural import INFLATION, PointNetworkMap, train_map
 from smp_planner.occupancy.occupancy_map import TRUNCATION
@@ -69,10 +68,10 @@ class PointCloud:
             )
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "sensor", sensor)
-        if self.thickness is not None and not 0.0 <= self.thickness < math.inf:
-            raise ValueError(f"PointCloud.thickness must not be negative, got {self.thickness}")
-        if self.inflation is not None and not 0.0 < self.inflation < math.inf:
-            raise ValueError(f"PointCloud.inflation must be positive, got {self.inflation}")
+        if self.thickness is not None:
+            checked_number("PointCloud.thickness", self.thickness, least=0.0)
+        if self.inflation is not None:
+            checked_number("PointCloud.inflation", self.inflation, above=0.0)
         self.refuse_near_sensor(self.inflation or 0.0)
 
     def __repr__(self) -> str:
@@ -163,8 +162,6 @@ def learned_cloud(
 
 def _fixed(name: str, value: ArrayLike) -> FloatArray:
     """Return a copy that cannot be changed: the map must not outlive the points."""
-    array = np.array(value, np.float64)
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
+    array = checked_array(name, value)
     array.setflags(write=False)
     return array

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["AnyOf", "Box", "ViaPoint"]
 
 
 def _vector(name: str, value: ArrayLike) -> FloatArray:
-    array = np.array(value, np.float64)
-    if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be a vector of finite numbers, got {value!r}")
+    array = checked_array(name, value, (None,))
+    if not len(array):
+        raise ValueError(f"{name} must be a vector of finite numbers, got none")
     return array
 
 
@@ -42,8 +42,8 @@ class Box:
         lower, upper = _vector("Box.lower", self.lower), _vector("Box.upper", self.upper)
         if lower.shape != upper.shape or not (lower <= upper).all():
             raise ValueError(f"Box.lower {lower} must not exceed Box.upper {upper}")
-        if self.sigma is not None and not (math.isfinite(self.sigma) and self.sigma > 0.0):
-            raise ValueError(f"Box.sigma must be positive, got {self.sigma}")
+        if self.sigma is not None:
+            object.__setattr__(self, "sigma", checked_number("Box.sigma", self.sigma, above=0.0))
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
@@ -62,10 +62,13 @@ class AnyOf:
     shares: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        options = tuple(self.options)
-        if not options:
-            raise ValueError("AnyOf.options must hold at least one place, got none")
-        shares = np.ones(len(options)) if self.shares is None else np.asarray(self.shares, float)
+        given: Any = self.options
+        if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or not len(given):
+            raise ValueError(f"AnyOf.options must be places in a list, got {shown(given)}")
+        options = tuple(given)
+        shares = np.ones(len(options))
+        if self.shares is not None:
+            shares = checked_array("AnyOf.shares", self.shares)
         if shares.shape != (len(options),) or not (np.isfinite(shares) & (shares > 0)).all():
             raise ValueError(
                 f"AnyOf.shares must be {len(options)} positive numbers, got {self.shares}"
@@ -89,8 +92,8 @@ class ViaPoint:
     tolerance: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.phase <= 1.0:
-            raise ValueError(f"ViaPoint.phase must lie in [0, 1], got {self.phase}")
-        if not (math.isfinite(self.tolerance) and self.tolerance >= 0.0):
-            raise ValueError(f"ViaPoint.tolerance must not be negative, got {self.tolerance}")
+        phase = checked_number("ViaPoint.phase", self.phase, least=0.0, most=1.0)
+        object.__setattr__(self, "phase", phase)
+        tolerance = checked_number("ViaPoint.tolerance", self.tolerance, least=0.0)
+        object.__setattr__(self, "tolerance", tolerance)
         object.__setattr__(self, "position", _vector("ViaPoint.position", self.position))

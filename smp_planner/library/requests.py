@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
+from pydantic import BaseModel
 
-from smp_planner.collision.robot_model import RobotModel
+from smp_gym.arrays import checked_array, shown
 from smp_planner.library.frame import Frame
+from smp_planner.library.joint_angles import JointAngles
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.movement_primitives.box_prior import SmoothBox
 from smp_planner.planning.constraints import Constraint, Passing, Place, Reaching
 from smp_planner.planning.tool_goals import GoalRegion
 
-__all__ = ["Request", "constraints_of"]
+__all__ = ["Request", "constraints_of", "several"]
+
 Request = ArrayLike | Box | GoalRegion | AnyOf
 """A request for the start or the end of a path."""
 
@@ -29,13 +32,27 @@ _SAME = 1e-9
 """Difference of phases, and extents, up to which two are the same."""
 
 
+def several(name: str, given: Any, kinds: tuple[type, ...]) -> tuple[Any, ...]:
+    """Return what is given as a tuple; one alone counts as one of a list.
+
+    Raises:
+        ValueError: neither a list nor one of the kinds.
+    """
+    if isinstance(given, kinds):
+        return (given,)
+    if not isinstance(given, Iterable) or isinstance(given, str | bytes | Mapping | BaseModel):
+        names = ", ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"{name} must be a list of {names}; got {shown(given)}")
+    return tuple(given)
+
+
 def constraints_of(
     frame: Frame,
     start: Request | None,
     via_points: Sequence[ViaPoint | AnyOf],
     goal: Request | None,
     sigma: float,
-    robot: RobotModel | None,
+    angles: JointAngles | None,
 ) -> tuple[Constraint, ...]:
     """Return the constraints that requests for a path amount to, ascending in phase.
 
@@ -45,22 +62,22 @@ def constraints_of(
         via_points: of the path.
         goal: of the path; None leaves that to the demonstrations.
         sigma: of tails where none is given, in extents; m for the regions of a tool.
-        robot: that moves; None for a ball.
+        angles: limits and branches of the robot that moves; None for a ball.
 
     Raises:
-        ValueError: a place of another dimension than the path or not finite, options of a
-            via-point at different phases, a region for the tool of no robot, or two constraints of
-            one phase that cannot both be met.
+        ValueError: a place of another dimension than the path, not finite or beyond the limits of
+            a joint, options of a via-point at different phases, a region for the tool of no robot,
+            or two constraints of one phase that cannot both be met.
     """
     constraints: list[Constraint] = []
     if start is not None:
-        constraints.append(_passing("start", 0.0, frame, start, sigma))
+        constraints.append(_passing("start", 0.0, frame, start, sigma, angles))
     if goal is not None:
         options, shares = _options(goal)
         if any(isinstance(option, GoalRegion) for option in options):
-            constraints.append(_reaching(options, shares, robot))
+            constraints.append(_reaching(options, shares, angles))
         else:
-            constraints.append(_passing("goal", 1.0, frame, goal, sigma))
+            constraints.append(_passing("goal", 1.0, frame, goal, sigma, angles))
     for index, via in enumerate(via_points):
         name = f"via_points[{index}]"
         options, _ = _options(via)
@@ -70,7 +87,7 @@ def constraints_of(
         phases = sorted({option.phase for option in options})
         if len(phases) > 1:
             raise ValueError(f"{name} must be options of one phase, got {phases}")
-        constraints.append(_passing(name, phases[0], frame, via, sigma))
+        constraints.append(_passing(name, phases[0], frame, via, sigma, angles))
     for first, second in combinations(constraints, 2):
         if isinstance(first, Passing) and isinstance(second, Passing):
             _refuse_contradiction(frame, first, second)
@@ -85,28 +102,38 @@ def _options(request: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
 
 
 def _reaching(
-    options: tuple[Any, ...], shares: tuple[float, ...], robot: RobotModel | None
+    options: tuple[Any, ...], shares: tuple[float, ...], angles: JointAngles | None
 ) -> Reaching:
-    if robot is None:
+    if angles is None:
         raise ValueError("goal is a region for a tool, but the primitive has no robot")
     if not all(isinstance(option, GoalRegion) for option in options):
         raise ValueError(f"goal must be regions for the tool or places of the path, got {options}")
-    return Reaching(options, robot, shares)
+    return Reaching(options, angles.robot.model, shares)
 
 
-def _passing(name: str, phase: float, frame: Frame, request: Any, sigma: float) -> Passing:
+def _passing(
+    name: str, phase: float, frame: Frame, request: Any, sigma: float, angles: JointAngles | None
+) -> Passing:
     options, shares = _options(request)
     for option in options:
         if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
             raise ValueError(f"{name} must be a point, a Box or AnyOf of such, got {option!r}")
     places = [
-        _place(name, frame, option, share, sigma)
+        _place(name, phase, frame, option, share, sigma, angles)
         for option, share in zip(options, shares, strict=True)
     ]
     return Passing(name, phase, tuple(places))
 
 
-def _place(name: str, frame: Frame, request: Any, share: float, sigma: float) -> Place:
+def _place(
+    name: str,
+    phase: float,
+    frame: Frame,
+    request: Any,
+    share: float,
+    sigma: float,
+    angles: JointAngles | None,
+) -> Place:
     paper_scale, tolerance, point = False, 0.0, None
     if isinstance(request, Box):
         if request.sigma is not None:
@@ -117,14 +144,15 @@ def _place(name: str, frame: Frame, request: Any, share: float, sigma: float) ->
         if isinstance(request, ViaPoint):
             tolerance = float(frame.lengths_inwards(request.tolerance))
             request = request.position
-        point = lower = upper = np.asarray(request, np.float64)
+        point = lower = upper = checked_array(name, request)
     if lower.shape != (frame.dimension,):
         raise ValueError(
             f"{name} must have the {frame.dimension} coordinates that the demonstrations have, "
             f"got shape {np.shape(lower)}"
         )
-    if not np.isfinite(lower).all():
-        raise ValueError(f"{name} must be finite, got {lower}")
+    if angles is not None:
+        lower, upper = angles.placed(name, phase, lower, upper)
+        point = None if point is None else lower
     half = TOLERANCE_SHARE * tolerance / math.sqrt(frame.dimension)
     box = SmoothBox(
         torch.from_numpy(frame.inwards(lower) - half),

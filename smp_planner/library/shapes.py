@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_gym.scene import Obstacle
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.frame import Frame
@@ -22,10 +22,8 @@ _COLUMN_HALF_HEIGHT = 1.0
 
 
 def _pair(name: str, value: ArrayLike) -> tuple[float, float]:
-    array = np.asarray(value, np.float64)
-    if array.shape != (2,) or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be two finite numbers, got {value!r}")
-    return float(array[0]), float(array[1])
+    x, y = checked_array(name, value, (2,)).tolist()
+    return x, y
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,8 @@ class Circle:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center", _pair("Circle.center", self.center))
-        if not (math.isfinite(self.radius) and self.radius > 0.0):
-            raise ValueError(f"Circle.radius must be positive, got {self.radius}")
+        radius = checked_number("Circle.radius", self.radius, above=0.0)
+        object.__setattr__(self, "radius", radius)
 
 
 @dataclass(frozen=True)
@@ -66,8 +64,7 @@ class Rectangle:
         if min(half) <= 0.0:
             raise ValueError(f"Rectangle.half_extents must be positive, got {half}")
         object.__setattr__(self, "half_extents", half)
-        if not math.isfinite(self.angle):
-            raise ValueError(f"Rectangle.angle must be finite, got {self.angle}")
+        object.__setattr__(self, "angle", checked_number("Rectangle.angle", self.angle))
 
 
 PathObstacle = Circle | Rectangle | Obstacle | PointCloud

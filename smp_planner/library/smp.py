@@ -14,19 +14,21 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_count, checked_number, checked_seed, shown
 from smp_planner.adaptation import Adaptation, adaptation
 from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, PATH_SMOOTH_STD, AdaptSettings
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
+from smp_planner.library.joint_angles import JointAngles, refuse_quaternions, unwrapped
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
+from smp_planner.library.overdetermined import refuse_overdetermined
 from smp_planner.library.reading import demonstrations_of
-from smp_planner.library.requests import Request, constraints_of
+from smp_planner.library.requests import Request, constraints_of, several
 from smp_planner.library.scene import Scene
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
 from smp_planner.library.storing import read_primitive, write_primitive
@@ -35,7 +37,7 @@ from smp_planner.movement_primitives import ProMP, ProMPMixture
 from smp_planner.planning.pipeline import checked_deadline, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
-from smp_planner.planning.settings import PriorSettings
+from smp_planner.planning.settings import MOST_PARTICLES, PlanSettings, PriorSettings
 from smp_planner.planning.tool_goals import GoalRegion
 from smp_planner.torch_threads import one_thread
 
@@ -66,7 +68,7 @@ class SMP:
         robot: of whose joints they are; None for paths in the plane or in space.
 
     Attributes:
-        demonstrations: what it was learned from.
+        demonstrations: what it was learned from; angles of continuous joints are unwrapped.
         settings: how it was learned.
         robot: as above, with the pairs of spheres that must stay clear of each other.
         frame: the normalised coordinates that the primitives live in.
@@ -79,16 +81,26 @@ class SMP:
         settings: PriorSettings,
         robot: Robot | None = None,
     ) -> None:
-        self.demonstrations = tuple(demonstrations)
+        demonstrations = tuple(demonstrations)
         self.settings = settings
-        dimension = self.demonstrations[0].shape[1]
-        if robot is not None:
+        dimension = demonstrations[0].shape[1]
+        self._angles = None
+        if robot is None:
+            refuse_quaternions(demonstrations)
+        else:
+            if not isinstance(robot, Robot):
+                raise ValueError(f"robot must be a Robot, got {shown(robot)}")
             if robot.dimension != dimension:
                 raise ValueError(
                     f"demonstrations of a robot with {robot.dimension} joints must have as many "
                     f"coordinates, got {dimension}"
                 )
-            robot = Robot(with_collision_pairs(robot.model, self.demonstrations), robot.joints)
+            JointAngles(robot, demonstrations).check_demonstrations(continuous=False)
+            demonstrations = unwrapped(demonstrations, robot)
+            robot = replace(robot, model=with_collision_pairs(robot.model, demonstrations))
+            self._angles = JointAngles(robot, demonstrations)
+            self._angles.check_demonstrations()
+        self.demonstrations = demonstrations
         self.robot = robot
         self.frame = _frame(self.demonstrations, robot)
         self.prior = learn_prior([self.frame.inwards(d) for d in self.demonstrations], settings)
@@ -136,6 +148,12 @@ class SMP:
         given = demonstrations_of(demonstrations, nan_is_missing=settings.nan_is_missing)
         return cls(given, settings, robot)
 
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        of = f"of {self.robot!r}" if self.robot is not None else f"of D = {self.dimension}"
+        modes = len(self.mixture.components)
+        return f"SMP({len(self.demonstrations)} demonstrations {of}, {modes} modes)"
+
     @property
     def single(self) -> ProMP:
         """One Gaussian for all demonstrations."""
@@ -158,11 +176,11 @@ class SMP:
 
     def adapt(
         self,
-        obstacles: Sequence[PathObstacle] | PointCloud = (),
+        obstacles: Sequence[PathObstacle] | PathObstacle = (),
         *,
         start: Request | None = None,
         goal: Request | None = None,
-        via_points: Sequence[ViaPoint | AnyOf] = (),
+        via_points: Sequence[ViaPoint | AnyOf] | ViaPoint | AnyOf = (),
         radius: float = 0.0,
         particles: int = 42,
         seed: int = 0,
@@ -179,8 +197,9 @@ class SMP:
 
         Args:
             obstacles: `Circle`s and `Rectangle`s in the plane; in space and for a robot
-                `smp_gym.scene.Obstacle`s and one `PointCloud`, which may also be given alone.
+                `smp_gym.scene.Obstacle`s and one `PointCloud`. One may be given alone.
             start: (D,) where to begin, a `Box`, or `AnyOf` such; None leaves it as demonstrated.
+                Angles of continuous joints are turned to the branch nearest to demonstrations.
             goal: likewise, where to end; for a robot also a `GoalRegion` of its tool.
             via_points: what to pass in between; `AnyOf` several of one phase for a choice.
             radius: of the ball that moves; 0 is a point. A robot has none.
@@ -197,19 +216,29 @@ class SMP:
 
         Raises:
             ValueError: an argument out of range, of another dimension than the demonstrations, or
-                contradicting another; a start, goal or via-point inside an obstacle; or a region
+                contradicting another; more exact places than basis functions, or such that swing
+                the path far out between them; a start, goal or via-point beyond a joint's limits
+                by more than 1e-6 rad; a start, goal or via-point inside an obstacle; or a region
                 that the robot does not reach.
         """
         begin = time.perf_counter()
-        settings = settings or AdaptSettings()
+        settings = AdaptSettings() if settings is None else settings
+        if not isinstance(settings, PlanSettings):
+            raise ValueError(f"settings must be AdaptSettings, got {shown(settings)}")
         how = _adaptation(method)
         deadline = checked_deadline(deadline, how)
-        if particles < 1:
-            raise ValueError(f"particles must be at least 1, got {particles}")
+        particles = checked_count("particles", particles, most=MOST_PARTICLES)
         settings = settings.model_copy(update={"particles": particles})
-        obstacles = (obstacles,) if isinstance(obstacles, PointCloud) else tuple(obstacles)
-        model = None if self.robot is None else self.robot.model
-        constraints = constraints_of(self.frame, start, via_points, goal, settings.sigma, model)
+        seed, radius = checked_seed(seed), checked_number("radius", radius, least=0.0)
+        obstacles = several("obstacles", obstacles, get_args(PathObstacle))
+        via_points = several("via_points", via_points, (ViaPoint, AnyOf))
+        constraints = constraints_of(
+            self.frame, start, via_points, goal, settings.sigma, self._angles
+        )
+        with one_thread():
+            refuse_overdetermined(
+                self.prior.single, constraints, [self.frame.inwards(d) for d in self.demonstrations]
+            )
         reading = time.perf_counter()
         with one_thread():
             scene = Scene(self.frame, self.robot, obstacles, radius)
@@ -262,4 +291,8 @@ def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:
 
 
 def _adaptation(method: str | Adaptation) -> Adaptation:
-    return method if isinstance(method, Adaptation) else adaptation(method)
+    if isinstance(method, Adaptation):
+        return method
+    if not isinstance(method, str):
+        raise ValueError(f"method must be a name or an Adaptation, got {shown(method)}")
+    return adaptation(method)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-__all__ = ["PlanSettings", "PriorSettings"]
+__all__ = ["MOST_PARTICLES", "PlanSettings", "PriorSettings"]
+
+MOST_PARTICLES = 10_000
+"""Particles of a plan at most: what they cost each other grows with the square."""
+
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class PriorSettings(BaseModel):
@@ -34,7 +40,7 @@ class PriorSettings(BaseModel):
 
     smooth_std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
-    basis_functions: int = Field(default=15, ge=4)
+    basis_functions: int = Field(default=15, ge=4, le=1000)
     modes: int | None = Field(default=None, ge=1)
     nan_is_missing: bool = False
     per_component: bool = True
@@ -80,16 +86,16 @@ class PlanSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    particles: int = Field(default=42, ge=1)
-    samples: int = Field(default=200, ge=2)
+    particles: int = Field(default=42, ge=1, le=MOST_PARTICLES)
+    samples: int = Field(default=200, ge=2, le=10_000)
     map: Literal["exact", "shapes", "points"] = "shapes"
-    map_points: int = Field(default=100_000, ge=100)
+    map_points: int = Field(default=100_000, ge=100, le=10_000_000)
     map_steps: int = Field(default=5000, ge=1)
-    planning_steps: int = Field(default=50, ge=10)
+    planning_steps: int = Field(default=50, ge=10, le=10_000)
     obstacle_weight: float = Field(default=3.0, gt=0.0, allow_inf_nan=False)
     self_collision_weight: float = Field(default=3.0, ge=0.0, allow_inf_nan=False)
     margin: float = Field(default=0.01, ge=0.0, allow_inf_nan=False)
-    edge_width: tuple[float, float] = (0.05, 0.01)
+    edge_width: tuple[_Positive, _Positive] = (0.05, 0.01)
     sigma: float = Field(default=0.005, gt=0.0, allow_inf_nan=False)
     modulation: Literal["exact", "likelihood"] = "exact"
     via_share: float = Field(default=0.5, ge=0.0, le=1.0)
@@ -98,7 +104,7 @@ class PlanSettings(BaseModel):
     duration_limit: float = Field(default=15.0, gt=0.0, allow_inf_nan=False)
     forecast_horizon: float = Field(default=2.0, ge=0.0, allow_inf_nan=False)
     forecast_growth: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
-    forecast_margin: tuple[float, float] = (0.01, 0.05)
+    forecast_margin: tuple[_NotNegative, _NotNegative] = (0.01, 0.05)
     widths: tuple[float, ...] = (1.0,)
     retries: int = Field(default=1, ge=0)
 
