@@ -125,7 +125,7 @@ def checked_number(
         or (least is not None and not number >= least)
         or (most is not None and not number <= most)
     ):
-        wanted = " and ".join(["a finite number", *bounds])
+        wanted = " ".join(["a finite number", " and ".join(bounds)]).rstrip()
         raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
     return number
 

@@ -20,7 +20,7 @@ __all__ = ["JointAngles", "refuse_quaternions", "unwrapped"]
 _TURN = 2.0 * math.pi
 
 _WRAP = 0.1 * _TURN
-"""rad by which a step between two samples may differ from a turn to be taken for a wrapped angle."""
+"""rad by which a step between two samples may differ from a turn and be a wrapped angle."""
 
 _DIGITS = 9
 """Of what is beyond a limit: a value that is beyond by the tolerance passes."""
@@ -65,9 +65,7 @@ def unwrapped(demonstrations: Sequence[FloatArray], robot: Robot) -> tuple[Float
     return tuple(changed)
 
 
-def _nearest_turn(
-    wanted: float, lower: float, upper: float, bounds: tuple[float, float]
-) -> float:
+def _nearest_turn(wanted: float, lower: float, upper: float, bounds: tuple[float, float]) -> float:
     """Return the multiple of a turn nearest to `wanted` that keeps [lower, upper] within bounds.
 
     It is nearest to that if none does.

@@ -56,7 +56,7 @@ def test_numbers_and_their_bounds():
     for value in (2, 2.0, np.int64(2), np.float32(2.0)):
         assert checked_number("r", value, above=0.0, most=2.0) == 2.0
     for value in (0.0, 2.1, "1", 1j, True, None, np.nan, np.inf, 10**400, [1.0], np.array([1.0])):
-        with pytest.raises(ValueError, match=r"r must be a finite number and above 0.0 and at mo"):
+        with pytest.raises(ValueError, match=r"r must be a finite number above 0.0 and at mo"):
             checked_number("r", value, above=0.0, most=2.0)
 
 

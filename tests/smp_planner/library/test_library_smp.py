@@ -378,14 +378,14 @@ def test_obstacles_must_have_the_dimension_of_the_path(primitive):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ViaPoint(1.5, (0.0, 0.0)), "phase must be a finite number and at least 0.0 and at most 1.0, got 1.5"),
+        (lambda: ViaPoint(1.5, (0.0, 0.0)), "phase must be .* and at most 1.0, got 1.5"),
         (lambda: ViaPoint(0.5, (0.0, np.inf)), "position must be finite"),
-        (lambda: ViaPoint(0.5, (0.0, 0.0), -1.0), "tolerance must be a finite number and at least 0.0"),
+        (lambda: ViaPoint(0.5, (0.0, 0.0), -1.0), "tolerance must be .* at least 0.0"),
         (lambda: Box((1.0, 0.0), (0.0, 1.0)), "must not exceed"),
-        (lambda: Box((0.0, 0.0), (1.0, 1.0), sigma=0.0), "sigma must be a finite number and above 0.0"),
+        (lambda: Box((0.0, 0.0), (1.0, 1.0), sigma=0.0), "sigma must be .* above 0.0"),
         (lambda: AnyOf([]), "must be places in a list"),
         (lambda: AnyOf([(0.0, 0.0)], shares=(1.0, 2.0)), "1 positive numbers"),
-        (lambda: Circle((0.0, 0.0), 0.0), "radius must be a finite number and above 0.0"),
+        (lambda: Circle((0.0, 0.0), 0.0), "radius must be a finite number above 0.0"),
         (lambda: Circle((0.0, 0.0, 0.0), 1.0), r"center must have shape \(2,\)"),
         (lambda: Rectangle((0.0, 0.0), (1.0, -1.0)), "half_extents must be positive"),
         (lambda: SMP.fit([wave(0.0)]), "at least 2, got 1"),

@@ -141,7 +141,7 @@ def test_limits_come_from_the_file_or_are_given(tmp_path, given, range_, velocit
         ({"limits": {"k": (0, 1)}}, "limits names joints that the URDF lacks: k"),
         ({"limits": {"j": (1, 0)}}, r"limits\['j'\] must be \(lower, upper\)"),
         ({"limits": ["j"]}, "limits must map names of joints"),
-        ({"velocities": {"j": 0}}, r"velocities\['j'\] must be a finite number and above"),
+        ({"velocities": {"j": 0}}, r"velocities\['j'\] must be a finite number above"),
         ({"held": ["j"]}, "held must map names of joints to numbers, got"),
         ({"held": {"j": 1.1}}, r"held\['j'\] must be within .* \[-1.0, 1.0\], got 1.1"),
         ({"held": {"j": float("nan")}}, r"held\['j'\] must be a finite number"),
