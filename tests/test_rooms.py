@@ -24,6 +24,7 @@ ALLOWED_OF_GYM = {
     "datasets",
     "sensing",
     "assets",
+    "untrusted_files",
 }
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))

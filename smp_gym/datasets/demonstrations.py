@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, shown
 from smp_gym.assets import asset_path
 from smp_gym.atomic_files import replacing
 from smp_gym.robot.pen import pen_path
 from smp_gym.scene import Scene
 from smp_gym.tasks.registry import task_definition
+from smp_gym.untrusted_files import parse_json, read_arrays, read_file
 
 __all__ = ["DEMONSTRATION_SAMPLES", "FORMAT_VERSION", "Demonstrations", "resample"]
 
@@ -37,21 +38,7 @@ _ARRAYS = ("configurations", "gripper", "durations")
 
 def _checked_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
     """Return a read-only float64 copy of `value`; None in `shape` matches any length."""
-    try:
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"Demonstrations.{name} must be an array of numbers with equal dimensions in all "
-            f"demonstrations: {error}"
-        ) from error
-    expected = tuple("any" if n is None else n for n in shape)
-    if array.ndim != len(shape) or any(
-        n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
-    ):
-        raise ValueError(f"Demonstrations.{name} must have shape {expected}, got {array.shape}")
-    if not np.isfinite(array).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"Demonstrations.{name} must be finite, got {array[index]} at {index}")
+    array = checked_array(f"Demonstrations.{name}", value, shape)
     array.setflags(write=False)
     return array
 
@@ -112,7 +99,16 @@ class Demonstrations:
         object.__setattr__(self, "gripper", gripper)
         object.__setattr__(self, "durations", durations)
         object.__setattr__(self, "scenes", scenes)
+        if not isinstance(self.metadata, Mapping):
+            raise ValueError(
+                f"Demonstrations.metadata must be a mapping, got {shown(self.metadata)}"
+            )
         object.__setattr__(self, "metadata", dict(self.metadata))
+
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        count, samples, joints = self.configurations.shape
+        return f"Demonstrations({self.task}, {count} of {samples} x {joints})"
 
     def __len__(self) -> int:
         return len(self.configurations)
@@ -186,25 +182,39 @@ class Demonstrations:
                 does not allow; the message names the file.
         """
         path = _locate(task_or_path)
+        return cls.parse(read_file(path), str(path))
+
+    @classmethod
+    def parse(cls, content: bytes, source: str) -> Demonstrations:
+        """Return the demonstrations of a file that `save` wrote.
+
+        Args:
+            content: of the whole file.
+            source: its name, for errors.
+
+        Raises:
+            ValueError: as `load`.
+        """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                missing = {"header", *_ARRAYS} - set(file.files)
-                if missing:
-                    raise ValueError(f"no entry {', '.join(sorted(missing))}")
-                header = json.loads(str(file["header"]))
-                arrays = {name: file[name] for name in _ARRAYS}
+            arrays = read_arrays(content, "the file")
+            missing = {"header", *_ARRAYS} - set(arrays)
+            if missing:
+                raise ValueError(f"no entry {', '.join(sorted(missing))}")
+            header = parse_json(str(arrays["header"]), "the header")
             if not isinstance(header, dict) or header.get("version") != FORMAT_VERSION:
                 version = header.get("version") if isinstance(header, dict) else header
-                raise ValueError(f"format version must be {FORMAT_VERSION}, got {version!r}")
+                raise ValueError(f"format version must be {FORMAT_VERSION}, got {shown(version)}")
+            wanted = {"version", "task", "scenes", "metadata"}
+            if set(header) != wanted or not isinstance(header["scenes"], list):
+                raise ValueError(f"the header must hold {', '.join(sorted(wanted))}")
             return cls(
                 task=header["task"],
                 scenes=tuple(Scene.model_validate(s) for s in header["scenes"]),
                 metadata=header["metadata"],
-                **arrays,
+                **{name: arrays[name] for name in _ARRAYS},
             )
-        except Exception as error:
-            # Damaged bytes make zipfile, zlib, numpy and json raise almost anything.
-            raise ValueError(f"{path} is not a file of demonstrations: {error}") from error
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{source} is not a file of demonstrations: {error}") from error
 
 
 def _locate(task_or_path: str | Path) -> Path:

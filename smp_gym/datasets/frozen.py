@@ -19,10 +19,12 @@ from typing import Any
 
 import gymnasium
 
+from smp_gym.arrays import checked_count, shown
 from smp_gym.assets import asset_path
 from smp_gym.atomic_files import replacing
 from smp_gym.scene import Scene
 from smp_gym.suites import SUITES, Cell, home_suite
+from smp_gym.untrusted_files import LARGEST_TEXT, parse_json, read_file, unzipped
 
 __all__ = [
     "HALVES",
@@ -109,20 +111,25 @@ def _read(cell: Cell, folder: Path | None) -> tuple[Path, dict[str, Any], list[s
             f"there is no frozen list of {cell.name}, no file {path}; there are: {there or 'none'}"
         )
     try:
-        header, *lines = gzip.decompress(path.read_bytes()).decode("utf-8").splitlines()
-        content = dict(json.loads(header))
+        text = unzipped(read_file(path), "the file", LARGEST_TEXT).decode("utf-8")
+        header, *lines = text.splitlines()
+        content = parse_json(header, "line 1")
+        if not isinstance(content, dict):
+            raise ValueError(f"its header must be an object, got {shown(content)}")
         found = (content["format"], content["version"])
         if found != (_FORMAT, _FORMAT_VERSION):
             raise ValueError(
                 f"its format is {found[0]} {found[1]}, allowed is {_FORMAT} {_FORMAT_VERSION}; "
                 "scripts/make_benchmark.py makes lists"
             )
-        announced = content["episodes"], content["unknown"]
+        announced = tuple(
+            checked_count(name, content[name], least=0) for name in ("episodes", "unknown")
+        )
         if sum(announced) != len(lines):
             raise ValueError(
                 f"{announced[0]} episodes and {announced[1]} unknown announced, {len(lines)} there"
             )
-    except (OSError, EOFError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise ValueError(f"{path} is not a list of episodes: {error}") from error
     return path, content, lines
 
@@ -144,11 +151,14 @@ def _load(cell: Cell, folder: Path | None) -> tuple[tuple[FrozenEpisode, ...], i
     episodes = []
     for number, line in enumerate(lines):
         try:
-            entry = json.loads(line)
+            entry = parse_json(line, "it")
             scene = Scene.model_validate(entry["scene"])
             if (scene.task, scene.difficulty, scene.family) != identity:
                 raise ValueError(f"scene of {scene.task}, {scene.difficulty}, {scene.family}")
-            episode = FrozenEpisode(entry["half"], int(entry["seed"]), scene, entry["solver"])
+            seed = checked_count("seed", entry["seed"], least=0)
+            if not isinstance(entry["solver"], str):
+                raise ValueError(f"solver must be a name, got {shown(entry['solver'])}")
+            episode = FrozenEpisode(entry["half"], seed, scene, entry["solver"])
             if bool(episode.solver) != (number < kept):
                 raise ValueError(f"number {number + 1} of {kept}, solved by {episode.solver!r}")
             episodes.append(episode)

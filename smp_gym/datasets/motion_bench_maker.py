@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, shown
 from smp_gym.geometry.distance import PackedObstacles, signed_distance
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
@@ -31,9 +31,10 @@ from smp_gym.scene import (
     Scene,
     goal_boxes,
 )
+from smp_gym.tasks.registry import task_families, task_names
+from smp_gym.untrusted_files import parse_yaml, read_file
 
 __all__ = ["load_obstacles", "load_scene"]
-from smp_gym.tasks.registry import task_families, task_names
 
 _FURNITURE = "shelf"
 """A family that only tasks have that set an object down on a body."""
@@ -73,15 +74,11 @@ _IDENTITY_POSE = _Pose(Rotation.identity(), np.zeros(3))
 
 def _document(path: Path) -> Mapping[str, Any]:
     try:
-        import yaml
+        content = parse_yaml(read_file(path), "it")
     except ImportError as error:
         raise ImportError(
             "reading MotionBenchMaker files needs PyYAML: pip install smp-gym[motion-bench-maker]"
         ) from error
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"not YAML: {error}") from error
     return _mapping(content, "the file")
 
 
@@ -103,10 +100,10 @@ def _number(value: Any, where: str) -> float:
     # PyYAML takes 1e-05 for a text: YAML 1.1 wants a point in it.
     try:
         number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise ValueError(f"{where} must hold finite numbers, got {value!r}")
+        raise ValueError(f"{where} must hold finite numbers, got {shown(value)}")
     return number
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from smp_gym.arrays import FloatArray, shown
+from smp_gym.untrusted_files import read_file
 
 __all__ = ["read_csv"]
 
@@ -63,7 +64,7 @@ def read_csv(
 
 def _text(path: Path) -> str:
     """Return the text of a table, its columns separated by commas and its decimals by points."""
-    content = path.read_bytes()
+    content = read_file(path)
     encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), "utf-8")
     try:
         text = content.decode(encoding)

@@ -38,7 +38,7 @@ def unwrapped(demonstrations: Sequence[FloatArray], robot: Robot) -> tuple[Float
     Raises:
         ValueError: a joint that is not continuous jumps by about a turn.
     """
-    changed = []
+    changed: list[FloatArray] = []
     for number, given in enumerate(demonstrations):
         path = given.copy()
         for joint, endless in enumerate(robot.continuous):
@@ -130,7 +130,7 @@ class JointAngles:
         """
         model = self.robot.model
         lower, upper = lower.copy(), upper.copy()
-        for joint in np.flatnonzero(self.robot.continuous):
+        for joint in np.flatnonzero(self.robot.continuous).tolist():
             angles = [path[round(phase * (len(path) - 1)), joint] for path in self.demonstrations]
             known = [angle for angle in angles if math.isfinite(angle)]
             middle = (lower[joint] + upper[joint]) / 2.0
@@ -140,11 +140,11 @@ class JointAngles:
                 lower[joint] += turn
                 upper[joint] += turn
         beyond = np.round(np.maximum(model.lower - upper, lower - model.upper), _DIGITS)
-        joint = int(beyond.argmax())
-        if beyond[joint] > LIMIT_TOLERANCE:
-            value = upper[joint] if upper[joint] < model.lower[joint] else lower[joint]
+        worst = int(beyond.argmax())
+        if beyond[worst] > LIMIT_TOLERANCE:
+            value = upper[worst] if upper[worst] < model.lower[worst] else lower[worst]
             raise ValueError(
-                f"{name} must keep the limits of joint {self._limits(joint)}, got {value:.9g}"
+                f"{name} must keep the limits of joint {self._limits(worst)}, got {value:.9g}"
             )
         allowed = model.lower, model.upper
         return np.clip(lower, *allowed), np.clip(upper, *allowed)

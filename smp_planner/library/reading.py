@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from smp_gym.arrays import FloatArray, shown
+from smp_gym.untrusted_files import read_arrays, read_file
 from smp_planner.library.csv_table import read_csv
 from smp_planner.movement_primitives.samples import checked_demonstrations
 
@@ -70,18 +70,15 @@ def read_npz(path: Path) -> list[FloatArray]:
         FileNotFoundError: no such file.
         ValueError: damaged, or without such arrays.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            for name in ("demonstrations", "configurations"):
-                if name in archive.files:
-                    return list(archive[name])
-            count = sum(name.startswith(_NUMBERED) for name in archive.files)
-            names = [f"{_NUMBERED}{index}" for index in range(count)]
-            if names and set(names) <= set(archive.files):
-                return [archive[name] for name in names]
-            found = ", ".join(archive.files) or "nothing"
-    except (zipfile.BadZipFile, EOFError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged or no .npz file: {error}") from error
+    arrays = read_arrays(read_file(path), str(path))
+    for name in ("demonstrations", "configurations"):
+        if name in arrays:
+            return list(np.atleast_1d(arrays[name]))
+    count = sum(name.startswith(_NUMBERED) for name in arrays)
+    names = [f"{_NUMBERED}{index}" for index in range(count)]
+    if names and set(names) <= set(arrays):
+        return [arrays[name] for name in names]
+    found = ", ".join(arrays) or "nothing"
     raise ValueError(
         f"{path} must hold an array 'demonstrations' or arrays '{_NUMBERED}0', '{_NUMBERED}1' ...; "
         f"got {found}"

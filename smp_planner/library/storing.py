@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import SphereSet
+from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.library.urdf import Robot
 from smp_planner.occupancy.archive import read_archive, write_archive
@@ -57,24 +58,26 @@ def read_primitive(
         FileNotFoundError: no such file.
         ValueError: it is damaged, is something else, or is of another version.
     """
-    arrays = read_archive(Path(path).read_bytes(), str(path), _HEADER)
+    arrays = read_archive(read_file(path), str(path), _HEADER)
     try:
         samples, lengths = arrays["samples"], arrays["lengths"]
-        if samples.ndim != 2 or lengths.sum() != len(samples):
+        whole = lengths.dtype.kind in "iu" and lengths.ndim == 1 and (lengths >= 2).all()
+        if samples.ndim != 2 or not whole or lengths.sum() != len(samples):
             raise ValueError(f"{len(samples)} samples do not have the lengths {lengths}")
         demonstrations = np.split(samples, np.cumsum(lengths)[:-1])
         settings = PriorSettings.model_validate_json(str(arrays["settings"]))
         robot = None
         if "joints" in arrays:
+            joints = parse_json(str(arrays["joints"]), "joints")
             robot = Robot(
                 RobotModel(
                     **{name: arrays[f"robot_{name}"] for name in _CHAIN},
                     spheres=SphereSet(*(arrays[f"spheres_{name}"] for name in _SPHERES)),
                     collision_pairs=np.empty((0, 2), np.int64),
                 ),
-                tuple(json.loads(str(arrays["joints"]))),
-                tuple(arrays["continuous"].tolist()),
+                tuple(str(joint) for joint in joints),
+                tuple(bool(entry) for entry in arrays["continuous"]),
             )
-    except (KeyError, TypeError, ValueError) as error:
+    except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
     return demonstrations, settings, robot

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray
+from smp_gym.untrusted_files import read_file
 
 __all__ = ["CONTINUOUS_LIMIT", "Description", "Joint", "Link", "Shape", "read_description"]
 
@@ -155,9 +156,7 @@ def read_description(path: str | Path, packages: Mapping[str, str | Path] | None
 
 
 def _root(file: Path) -> ET.Element:
-    if file.stat().st_size > _LARGEST_FILE:
-        raise ValueError(f"{file} is not a URDF: it is larger than {_LARGEST_FILE} bytes")
-    content = file.read_bytes()
+    content = read_file(file, _LARGEST_FILE)
     if b"<!ENTITY" in content:
         raise ValueError(f"{file} is not a URDF that can be read: it declares entities")
     try:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smp_gym.arrays import shown
 from smp_gym.atomic_files import replacing
+from smp_gym.untrusted_files import parse_json, read_arrays
 
 __all__ = ["read_archive", "write_archive"]
 
@@ -40,25 +39,10 @@ def read_archive(content: bytes, source: str, header: Mapping[str, Any]) -> dict
         ValueError: it is damaged, is no such archive, or has another header.
     """
     try:
-        if not zipfile.is_zipfile(io.BytesIO(content)):
-            raise ValueError("not a zip archive")
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        found = json.loads(str(arrays.pop("header")))
-    except (
-        AttributeError,
-        EOFError,
-        KeyError,
-        NotImplementedError,
-        OSError,
-        RuntimeError,
-        SyntaxError,
-        TypeError,
-        ValueError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise ValueError(f"{source} is damaged or of another kind: {error!r}") from error
+        arrays = read_arrays(content, "the file")
+        found = parse_json(str(arrays.pop("header")), "the header")
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{source} is damaged or of another kind: {error}") from error
     if found != dict(header):
-        raise ValueError(f"{source} must have the header {dict(header)}, got {found}")
+        raise ValueError(f"{source} must have the header {dict(header)}, got {shown(found)}")
     return arrays

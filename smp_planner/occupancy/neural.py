@@ -26,6 +26,7 @@ from torch import nn
 from smp_gym.arrays import Float32Array
 from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance
 from smp_gym.scene import Obstacle
+from smp_gym.untrusted_files import read_file
 from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, GridMap, grid_nodes
 from smp_planner.occupancy.occupancy_map import TRUNCATION
@@ -135,7 +136,7 @@ class PointNetwork:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, is something else, or is of another version.
         """
-        arrays = read_archive(Path(path).read_bytes(), str(path), _HEADER)
+        arrays = read_archive(read_file(path), str(path), _HEADER)
         layers = (len(arrays) - 1) // 2
         try:
             frame = arrays["frame"].astype(np.float64)

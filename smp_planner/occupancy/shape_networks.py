@@ -27,6 +27,7 @@ from smp_gym.arrays import Float32Array
 from smp_gym.compiling import kernel
 from smp_gym.geometry.distance import PackedObstacles, check_points, signed_distance, to_local
 from smp_gym.scene import Obstacle
+from smp_gym.untrusted_files import read_file
 from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.occupancy.occupancy_map import window
@@ -111,7 +112,7 @@ class ShapeNetworks:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, is something else, or is of another version.
         """
-        return cls._parse(Path(path).read_bytes(), str(path))
+        return cls._parse(read_file(path), str(path))
 
     @classmethod
     def _parse(cls, content: bytes, source: str) -> ShapeNetworks:

@@ -18,6 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from smp_gym.arrays import checked_seed
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space, space_of
 from smp_planner.batch.problem_tables import checked_device
@@ -207,9 +208,7 @@ class PlannerPolicy:
 
     def set_random_seed(self, seed: int | None = None) -> None:
         """Set the policy's seed; None means 0."""
-        if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
-            raise ValueError(f"seed must be a non-negative integer, got {seed!r}")
-        self.seed = int(seed or 0)
+        self.seed = 0 if seed is None else checked_seed(seed)
 
     def predict(
         self,

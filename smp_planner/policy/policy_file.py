@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from smp_gym.arrays import shown
 from smp_gym.atomic_files import replacing
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.untrusted_files import parse_json, read_file, read_members
 
 __all__ = ["FORMAT", "VERSION", "SavedPolicy", "read_policy", "write_policy"]
 
@@ -68,14 +70,21 @@ def read_policy(path: Path) -> SavedPolicy:
         FileNotFoundError: no such file.
         ValueError: damaged, not a policy, or of another version.
     """
-    try:
-        with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
-            header = json.loads(archive.read(_HEADER_FILE))
-            demonstrations = Demonstrations.load(archive.extract(_DEMONSTRATIONS, folder))
-    except (zipfile.BadZipFile, KeyError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is not a saved policy or is damaged: {error}") from error
+    members = read_members(read_file(path), str(path))
+    missing = {_HEADER_FILE, _DEMONSTRATIONS} - set(members)
+    if missing:
+        raise ValueError(f"{path} is not a saved policy: it has no {', '.join(sorted(missing))}")
+    header = parse_json(members[_HEADER_FILE], f"{path}, {_HEADER_FILE},")
     expected = {"format": FORMAT, "version": VERSION}
     found = {name: header.get(name) for name in expected} if isinstance(header, dict) else header
     if found != expected:
-        raise ValueError(f"{path} must be a saved policy {expected}, got {found}")
-    return SavedPolicy(header["method"], header["settings"], int(header["seed"]), demonstrations)
+        raise ValueError(f"{path} must be a saved policy {expected}, got {shown(found)}")
+    kinds = {"method": str, "settings": dict, "seed": int}
+    for name, kind in kinds.items():
+        if not isinstance(header.get(name), kind):
+            raise ValueError(
+                f"{path} is not a saved policy: its {name} must be a {kind.__name__}, "
+                f"got {shown(header.get(name))}"
+            )
+    demonstrations = Demonstrations.parse(members[_DEMONSTRATIONS], f"{path}, {_DEMONSTRATIONS},")
+    return SavedPolicy(header["method"], header["settings"], header["seed"], demonstrations)

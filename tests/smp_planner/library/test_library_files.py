@@ -37,7 +37,7 @@ def test_files_that_hold_something_else_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"must hold an array 'demonstrations' .* got paths"):
         demonstrations_of(tmp_path / "other.npz")
     np.savez(tmp_path / "pickled.npz", demonstrations=np.array([{}, {}], dtype=object))
-    with pytest.raises(ValueError, match=r"pickled.npz is damaged"):
+    with pytest.raises(ValueError, match=r"pickled.npz, .* got object"):
         demonstrations_of(tmp_path / "pickled.npz")
     whole = (tmp_path / "other.npz").read_bytes()
     for content in (b"", b"text", whole[: len(whole) // 2]):
