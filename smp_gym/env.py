@@ -14,7 +14,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from smp_gym.arrays import AnyFloatArray, BoolArray
+from smp_gym.arrays import AnyFloatArray, BoolArray, checked_array, checked_count, shown
 from smp_gym.control import joint_action
 from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.observation import (
@@ -26,6 +26,7 @@ from smp_gym.observation import (
     Encoder,
     Observation,
     Sensing,
+    check_observable,
     observation_space,
 )
 from smp_gym.physics.jaco import ACTION_SIZE
@@ -58,6 +59,9 @@ is if the agent discounts by the same."""
 DEFAULT_CAMERA = Camera(target=(0.32, 0.0, 0.23), distance=1.5, yaw=62.0, pitch=-28.0)
 
 _ACTION_TOLERANCE = 1e-6
+
+_MOST_PIXELS = 4096
+"""Along either side of a picture."""
 
 
 class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle):
@@ -102,8 +106,8 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         difficulty: one of `smp_gym.scene.DIFFICULTIES`.
         reward: "sparse" or "dense".
         render_mode: None, "rgb_array", or "human" for a window.
-        width: of pictures, pixels.
-        height: of pictures, pixels.
+        width: of pictures, pixels, at most 4096.
+        height: of pictures, pixels, likewise.
         camera: entries of `smp_gym.physics.world.Camera` that shall differ from the default.
         control: "joint_velocity" or "end_effector", what actions mean. It stands in the
             observation: planner policies act in joint velocities, and refuse the other mode.
@@ -118,7 +122,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 
     Raises:
         ValueError: an argument is not one of those allowed.
-        RuntimeError: "human" without a display.
+        RuntimeError: "human" without a display that answers.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -163,8 +167,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             _check_choice(f"difficulty of family {family}", difficulty, CROWDED)
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         for name, value in (("width", width), ("height", height)):
-            if not (isinstance(value, int) and value > 0):
-                raise ValueError(f"{name} must be a positive number of pixels, got {value!r}")
+            checked_count(name, value, most=_MOST_PIXELS)
         self.difficulty = difficulty
         self.family = family
         self.reward = reward
@@ -173,7 +176,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self.noise = check_sensing(sensing, noise)
         self._sensor = _make_sensor(sensing, self.noise)
         self.render_mode = render_mode
-        self._width, self._height = width, height
+        self._width, self._height = int(width), int(height)
         self._camera = _make_camera(camera)
         self.observation_space = observation_space(self.task.name, sensing)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
@@ -339,7 +342,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         if not isinstance(state, EpisodeState):
             raise TypeError(f"state must be an EpisodeState, got {type(state).__name__}")
-        self.task.check_scene(state.scene)
+        self._check_scene(state.scene)
         played = len(self._actions)
         past = np.array(self._actions).reshape(-1, ACTION_SIZE)
         ahead = self._scene == state.scene and np.array_equal(past, state.actions[:played])
@@ -423,11 +426,15 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
             raise ValueError(f"options may hold 'scene' only, got {sorted(map(str, options))}")
         if given is not None:
             scene = _parsed(given)
-            self.task.check_scene(scene)
+            self._check_scene(scene)
             return scene
         if seed is None:
             seed = int(self.np_random.integers(EVALUATION_SEEDS_START))
         return sample_scene(self.task.name, self.difficulty, seed, self.family)
+
+    def _check_scene(self, scene: Scene) -> None:
+        self.task.check_scene(scene)
+        check_observable(scene)
 
     def _perceive(self) -> None:
         """Look at the obstacles, if the next look is due and would show something else."""
@@ -469,11 +476,11 @@ def _make_sensor(sensing: Sensing, noise: float) -> Sensor:
 
 def _make_camera(changes: Mapping[str, Any] | None) -> Camera:
     try:
-        return replace(DEFAULT_CAMERA, **(changes or {}))
+        return replace(DEFAULT_CAMERA, **({} if changes is None else changes))
     except TypeError:
         names = [field.name for field in fields(Camera)]
         raise ValueError(
-            f"camera may hold the entries {', '.join(names)}; got {changes!r}"
+            f"camera may hold the entries {', '.join(names)}; got {shown(changes)}"
         ) from None
 
 
@@ -490,14 +497,7 @@ def _parsed(given: Any) -> Scene:
 
 
 def _checked_action(action: Any) -> NDArray[np.float64]:
-    try:
-        checked = np.asarray(action, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"action must hold {ACTION_SIZE} numbers, got {action!r}") from None
-    if checked.shape != (ACTION_SIZE,):
-        raise ValueError(f"action must have shape ({ACTION_SIZE},), got {checked.shape}")
-    if not np.isfinite(checked).all():
-        raise ValueError(f"action must be finite, got {checked.tolist()}")
+    checked = checked_array("action", action, (ACTION_SIZE,))
     if np.abs(checked).max() > 1.0 + _ACTION_TOLERANCE:
         raise ValueError(f"action must lie between -1 and 1, got {checked.tolist()}")
     return np.minimum(np.maximum(checked, -1.0), 1.0)

@@ -41,6 +41,7 @@ __all__ = [
     "ObjectState",
     "RobotState",
     "Sensing",
+    "check_observable",
     "decode",
     "encode_desired_goal",
     "observation_space",
@@ -119,6 +120,9 @@ _LEAST_POINT_HEIGHT = -0.05
 _LEAST_POINT_DISTANCE = 0.02
 """Metres: no point is below the table top by more than noise, or in the middle of the arm's base.
 A normalised cloud is."""
+
+_BETWEEN = (0.25, 0.5, 0.75)
+"""Shares of the interval between two knots at which a motion is looked at, too."""
 
 _ROUNDING = 1e-3
 """By how much norms, step counts and goals may be off, having been float32."""
@@ -307,6 +311,44 @@ def _encode_obstacles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float32]:
         for name, place in _OBSTACLE_PLACES:
             rows[: len(shown), place] = values[name]
     return np.clip(rows, _OBSTACLE_LOW, _OBSTACLE_HIGH).astype(np.float32).ravel()
+
+
+def check_observable(scene: Scene) -> None:
+    """Raise ValueError if an observation cannot hold what is in a scene.
+
+    Obstacles must come back from their rows as they were, but for rounding, wherever they go;
+    goals and object must be within the bounds of their fields.
+    """
+    for number, obstacle in enumerate(scene.obstacles):
+        times = np.zeros(1)
+        if obstacle.motion is not None:
+            knots = np.array(obstacle.motion.times)
+            times = np.concatenate([knots, *(knots[:-1] + s * np.diff(knots) for s in _BETWEEN)])
+        for time in times.tolist():
+            there = obstacle.moved(time)
+            values = {name: getattr(there, name) for name in ("position", "size", "velocity")}
+            _check_held(values, OBSTACLE_LAYOUT, f"scene.obstacles[{number}]")
+    goals = make_task(scene.task).goals
+    _check_held(goals.encode(scene), goals.layout, "scene.goals, as the desired goal,")
+    if scene.manipulated is not None:
+        held: dict[str, Any] = {"object_size": scene.manipulated.size}
+        if scene.manipulated.position is not None:
+            held["object_position"] = scene.manipulated.position
+        _check_held(held, STATE_LAYOUT, "scene.manipulated")
+
+
+def _check_held(values: Mapping[str, Any], layout: tuple[Field, ...], where: str) -> None:
+    """Raise ValueError if a value is clipped or vanishes in a vector of float32."""
+    bounds = {field.name: (field.low, field.high) for field in layout}
+    for name, value in values.items():
+        low, high = bounds[name]
+        given = np.asarray(value, np.float64)
+        vanished = (given != 0.0) & (given.astype(np.float32) == 0.0)
+        if given.min() < low or given.max() > high or (name.endswith("size") and vanished.any()):
+            raise ValueError(
+                f"{where} must have its {name} within [{low}, {high}], which is what an "
+                f"observation holds, got {given.tolist()}"
+            )
 
 
 def _encode_points(points: FloatArray) -> NDArray[np.float32]:

@@ -6,8 +6,6 @@ Bodies and links are called by name; a contact is a pair of names.
 
 from __future__ import annotations
 
-import os
-import sys
 import weakref
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,9 +16,10 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.geometry.shape import SolidArguments
+from smp_gym.physics.display import check_display
 from smp_gym.physics.hangers import hangers
 from smp_gym.physics.lines import Line, draw_lines
 from smp_gym.scene import MAX_OBSTACLES, Obstacle
@@ -55,6 +54,9 @@ _WINDOW_LINE_WIDTH = 3.0
 _RAYS_IN_A_BATCH = 8192
 """Half of what the engine takes at once."""
 
+_FARTHEST = 100.0
+"""Metres of a camera from its target."""
+
 _PARKING_HEIGHT = -20.0
 _SPECK = Obstacle(shape="sphere", position=_ORIGIN, size=(0.01, 0.01, 0.01))
 _SKY_COLOR = (
@@ -80,6 +82,18 @@ class Camera:
     pitch: float = -30.0
     field_of_view: float = 45.0
 
+    def __post_init__(self) -> None:
+        target = tuple(checked_array("camera.target", self.target, (3,)).tolist())
+        object.__setattr__(self, "target", target)
+        for name, bounds in (
+            ("distance", {"above": 0.0, "most": _FARTHEST}),
+            ("yaw", {}),
+            ("pitch", {"least": -90.0, "most": 90.0}),
+            ("field_of_view", {"least": 1.0, "most": 170.0}),
+        ):
+            value = checked_number(f"camera.{name}", getattr(self, name), **bounds)
+            object.__setattr__(self, name, value)
+
 
 def _solid(part: Obstacle) -> SolidArguments:
     return REGISTRY[part.shape].solid(part.size)
@@ -98,11 +112,7 @@ def _connect(gui: bool) -> int:
     if not gui:
         return int(pybullet.connect(pybullet.DIRECT))
     # PyBullet ends the whole process when it finds no X server, so ask before it does.
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise RuntimeError(
-            "a window needs a display, but DISPLAY is not set: use render_mode='rgb_array', "
-            "or run under an X server (for example xvfb-run)"
-        )
+    check_display()
     client = int(pybullet.connect(pybullet.GUI, options=_SKY_COLOR))
     if client < 0:
         raise RuntimeError("PyBullet could not open its window; it allows one window per process")
