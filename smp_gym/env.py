@@ -465,7 +465,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
 
 def _check_choice(name: str, value: Any, allowed: Sequence[Any]) -> None:
     if value not in allowed:
-        raise ValueError(f"{name} must be one of {', '.join(map(str, allowed))}; got {value!r}")
+        raise ValueError(
+            f"{name} must be one of {', '.join(map(str, allowed))}; got {shown(value)}"
+        )
 
 
 def _make_sensor(sensing: Sensing, noise: float) -> Sensor:

@@ -27,7 +27,7 @@ from pydantic import (
     model_validator,
 )
 
-from smp_gym.arrays import FloatArray, checked_array
+from smp_gym.arrays import FloatArray, checked_array, shown
 from smp_gym.geometry.registry import REGISTRY, SHAPES
 
 __all__ = [
@@ -127,13 +127,13 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
 
 def _shape(name: str) -> str:
     if name not in REGISTRY:
-        raise ValueError(f"shape must be one of {', '.join(SHAPES)}; got {name!r}")
+        raise ValueError(f"shape must be one of {', '.join(SHAPES)}; got {shown(name)}")
     return name
 
 
 def _family(name: str) -> str:
     if name not in FAMILIES:
-        raise ValueError(f"family must be one of {', '.join(FAMILIES)}; got {name!r}")
+        raise ValueError(f"family must be one of {', '.join(FAMILIES)}; got {shown(name)}")
     return name
 
 
@@ -503,7 +503,7 @@ def goal_kind(name: str) -> GoalKind:
 
         kinds |= {kind.name: kind for task in task_definitions() for kind in task.goal_kinds}
     if name not in kinds:
-        raise ValueError(f"kind must be one of {', '.join(kinds)}; got {name!r}")
+        raise ValueError(f"kind must be one of {', '.join(kinds)}; got {shown(name)}")
     return kinds[name]
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray, checked_array, shown
+from smp_gym.arrays import FloatArray, checked_array, checked_count, shown
 from smp_gym.assets import asset_path
 from smp_gym.atomic_files import replacing
 from smp_gym.robot.pen import pen_path
@@ -218,6 +218,8 @@ class Demonstrations:
 
 
 def _locate(task_or_path: str | Path) -> Path:
+    if not isinstance(task_or_path, str | Path):
+        raise ValueError(f"task or path must be a text, got {shown(task_or_path)}")
     folder = asset_path("demonstrations")
     shipped = sorted(path.stem for path in folder.glob("*.npz"))
     if str(task_or_path) in shipped:
@@ -243,11 +245,10 @@ def resample(values: FloatArray, samples: int = DEMONSTRATION_SAMPLES) -> FloatA
     """
     from scipy.interpolate import CubicSpline
 
-    values = np.asarray(values, np.float64)
-    if values.ndim != 2 or len(values) < 4:
+    values = checked_array("values", values, (None, None))
+    if len(values) < 4:
         raise ValueError(f"values must have shape (M >= 4, D), got {values.shape}")
-    if samples < 2:
-        raise ValueError(f"samples must be at least 2, got {samples}")
+    samples = checked_count("samples", samples, least=2)
     spline = CubicSpline(np.linspace(0.0, 1.0, len(values)), values)
     result: FloatArray = spline(np.linspace(0.0, 1.0, samples))
     result[0], result[-1] = values[0], values[-1]

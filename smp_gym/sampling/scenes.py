@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_count, checked_seed
 from smp_gym.sampling.draws import first_scene
 from smp_gym.sampling.specification import CROWDED, generator
 from smp_gym.scene import DIFFICULTIES, FAMILIES, Scene
@@ -93,7 +93,7 @@ def place_without_witness(
         raise ValueError(f"difficulty must be one of {', '.join(CROWDED)}; got {difficulty!r}")
     if definition.sampler.place is None:
         raise ValueError(f"scenes of {task} are not placed without a witness")
-    version = _checked(seed, definition.version if version is None else version)
+    seed, version = _checked(seed, definition.version if version is None else version)
     rng = generator(task, f"{difficulty}/without a witness", seed, version)
     identity = {"task": task, "version": version, "difficulty": difficulty}
     return first_scene(definition.sampler.place, rng, _MAX_DRAWS, **identity)[0]
@@ -111,7 +111,7 @@ def _sample(
         raise ValueError(
             f"difficulty of {family} must be one of {', '.join(allowed)}; got {difficulty!r}"
         )
-    version = _checked(seed, definition.version if version is None else version)
+    seed, version = _checked(seed, definition.version if version is None else version)
     name = difficulty if family == FAMILIES[0] else f"{family}/{difficulty}"
     rng = generator(task, name, seed, version)
     identity = {
@@ -124,7 +124,5 @@ def _sample(
     return first_scene(definition.sampler.drawing(family), rng, _MAX_DRAWS, **identity)
 
 
-def _checked(seed: int, version: int) -> int:
-    if seed < 0 or version < 0:
-        raise ValueError(f"seed and version must not be negative, got {seed} and {version}")
-    return version
+def _checked(seed: int, version: int) -> tuple[int, int]:
+    return checked_seed(seed), checked_count("version", version, least=0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 
+from smp_gym.arrays import shown
 from smp_gym.tasks.definition import Task, TaskDefinition
 
 __all__ = [
@@ -53,7 +54,7 @@ def task_definition(name: str) -> TaskDefinition:
     """
     known = _known()
     if name not in known:
-        raise ValueError(f"task must be one of {', '.join(known)}; got {name!r}")
+        raise ValueError(f"task must be one of {', '.join(known)}; got {shown(name)}")
     return known[name]
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import BaseModel
 from torch import Tensor
 
+from smp_gym.arrays import shown
 from smp_planner.adaptation.flow import FlowSettings, flow
 from smp_planner.adaptation.optimised_mean import OptimisedMeanSettings, optimised_mean
 from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, Target
@@ -86,6 +87,6 @@ def adaptation(name: str, **settings: Any) -> Adaptation:
         ValueError: unknown name or setting, or a setting out of range.
     """
     if name not in ADAPTATIONS:
-        raise ValueError(f"method must be one of {', '.join(ADAPTATIONS)}; got {name!r}")
+        raise ValueError(f"method must be one of {', '.join(ADAPTATIONS)}; got {shown(name)}")
     known = ADAPTATIONS[name]
     return replace(known, settings=type(known.settings).model_validate(settings))

@@ -88,8 +88,6 @@ class SMP:
         if robot is None:
             refuse_quaternions(demonstrations)
         else:
-            if not isinstance(robot, Robot):
-                raise ValueError(f"robot must be a Robot, got {shown(robot)}")
             if robot.dimension != dimension:
                 raise ValueError(
                     f"demonstrations of a robot with {robot.dimension} joints must have as many "
@@ -128,6 +126,8 @@ class SMP:
         """
         smooth_std = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
         learning = PriorSettings(**{"smooth_std": smooth_std, **settings})
+        if robot is not None and not isinstance(robot, Robot):
+            raise ValueError(f"robot must be a Robot, got {shown(robot)}")
         joints = None if robot is None else robot.joints
         given = demonstrations_of(demonstrations, joints, nan_is_missing=learning.nan_is_missing)
         return cls(given, learning, robot)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from smp_gym.arrays import checked_count
+
 __all__ = ["GaussianBasis", "phases"]
 
 
@@ -51,12 +53,9 @@ class GaussianBasis:
     outside: int = 1
 
     def __post_init__(self) -> None:
-        if self.outside < 0:
-            raise ValueError(f"outside must be 0 or more, got {self.outside}")
-        if self.count < 2 * self.outside + 2:
-            raise ValueError(
-                f"count must be at least 2 * outside + 2 = {2 * self.outside + 2}, got {self.count}"
-            )
+        outside = checked_count("outside", self.outside, least=0)
+        object.__setattr__(self, "outside", outside)
+        object.__setattr__(self, "count", checked_count("count", self.count, least=2 * outside + 2))
 
     @property
     def width(self) -> float:

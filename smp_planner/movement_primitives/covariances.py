@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from smp_gym.arrays import checked_number
 from smp_planner.movement_primitives.basis import GaussianBasis
 
 __all__ = [
@@ -45,10 +46,8 @@ def smooth_covariance(
     Raises:
         ValueError: `std` is negative or `length_scale` is not positive.
     """
-    if not (math.isfinite(std) and std >= 0):
-        raise ValueError(f"std must be finite and not negative, got {std}")
-    if not (math.isfinite(length_scale) and length_scale > 0):
-        raise ValueError(f"length_scale must be positive and finite, got {length_scale}")
+    std = checked_number("std", std, least=0.0)
+    length_scale = checked_number("length_scale", length_scale, above=0.0)
     centers = basis.centers(like)
     distance = (centers[:, None] - centers) / length_scale
     along_phase = torch.exp(-0.5 * distance.square())

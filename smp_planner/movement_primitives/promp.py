@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from smp_gym.arrays import checked_number
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
 from smp_planner.movement_primitives.covariances import (
     checked_covariance,
@@ -130,6 +131,8 @@ class ProMP:
                 samples in a dimension of one, or a number that is not finite and not missing.
         """
         basis = basis or GaussianBasis()
+        smooth_std = checked_number("smooth_std", smooth_std, least=0.0)
+        smooth_length_scale = checked_number("smooth_length_scale", smooth_length_scale, above=0.0)
         checked = checked_demonstrations(demonstrations, nan_is_missing=nan_is_missing)
         exact = [d.double() for d in checked]
         learned = expectation_maximization(exact, basis, em)

@@ -25,13 +25,14 @@ from importlib import resources
 from types import MappingProxyType
 from typing import Any, Protocol
 
+from smp_gym.arrays import shown
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.adaptation import ADAPTATIONS
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planners.rrt_connect.planner import RRTConnectPlanner
 from smp_planner.planning.problem import Planner
 
-__all__ = ["PLANNERS", "ConfiguredPlanner", "make_planner", "task_settings"]
+__all__ = ["PLANNERS", "ConfiguredPlanner", "learned_from", "make_planner", "task_settings"]
 
 
 class ConfiguredPlanner(Planner, Protocol):
@@ -74,6 +75,24 @@ def task_settings(name: str, task: str) -> dict[str, Any]:
     return {**own.get("*", {}), **own.get(task, {})}
 
 
+def learned_from(task: str | None, demonstrations: Demonstrations | None) -> Demonstrations:
+    """Return what a planner learns from: given demonstrations, or the shipped ones of a task.
+
+    Raises:
+        ValueError: neither is given, or they are something else.
+        FileNotFoundError: no such task.
+    """
+    if demonstrations is not None:
+        if not isinstance(demonstrations, Demonstrations):
+            raise ValueError(
+                f"demonstrations must be Demonstrations of a task, got {shown(demonstrations)}"
+            )
+        return demonstrations
+    if task is None:
+        raise ValueError("task or demonstrations must be given, got neither")
+    return Demonstrations.load(task)
+
+
 def make_planner(
     name: str,
     task: str | None = None,
@@ -95,10 +114,9 @@ def make_planner(
             demonstrations given.
     """
     if name not in PLANNERS:
-        raise ValueError(f"method must be one of {', '.join(PLANNERS)}; got {name!r}")
-    if demonstrations is None:
-        if task is None:
-            raise ValueError("task or demonstrations must be given, got neither")
-        demonstrations = Demonstrations.load(task)
+        raise ValueError(f"method must be one of {', '.join(PLANNERS)}; got {shown(name)}")
+    demonstrations = learned_from(task, demonstrations)
+    if settings is not None and not isinstance(settings, Mapping):
+        raise ValueError(f"settings must be a mapping by name, got {shown(settings)}")
     chosen = {**task_settings(name, demonstrations.task), **dict(settings or {})}
     return PLANNERS[name](demonstrations, chosen)

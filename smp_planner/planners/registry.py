@@ -20,6 +20,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from smp_gym.arrays import shown
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.planners import PLANNERS, make_planner
 from smp_planner.planning.problem import Planner
@@ -105,6 +106,8 @@ def resolve(spec: str) -> Method:
         ValueError: no such name, module or class, a class that is no planner, or a name that is
             taken or holds other characters than letters, digits, ``_``, ``-`` and ``.``.
     """
+    if not isinstance(spec, str):
+        raise ValueError(f"method must be a name, got {shown(spec)}")
     name, own, place = spec.rpartition("=")
     taken = (*known_methods(), *installed_methods())
     if own and not _NAME.fullmatch(name):
@@ -122,7 +125,7 @@ def resolve(spec: str) -> Method:
         if entry.name == spec:
             return _from_outside(spec, spec, entry.value)
     raise ValueError(
-        f"unknown method {spec!r}; there are: {', '.join(taken)}, or name=module:Class"
+        f"unknown method {shown(spec)}; there are: {', '.join(taken)}, or name=module:Class"
     )
 
 

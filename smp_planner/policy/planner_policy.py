@@ -22,6 +22,7 @@ from smp_gym.arrays import checked_seed
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space, space_of
 from smp_planner.batch.problem_tables import checked_device
+from smp_planner.planners import learned_from
 from smp_planner.planners.registry import Method, resolve
 from smp_planner.planning.pipeline import checked_deadline
 from smp_planner.planning.plan import Plan
@@ -181,10 +182,7 @@ class PlannerPolicy:
             ValueError: unknown method, task or setting, the message lists what exists; or see the
                 class.
         """
-        if demonstrations is None:
-            if task is None:
-                raise ValueError("task or demonstrations must be given, got neither")
-            demonstrations = Demonstrations.load(task)
+        demonstrations = learned_from(task, demonstrations)
         options = {
             "replan_every": replan_every,
             "latency": latency,
