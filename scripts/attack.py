@@ -13,11 +13,11 @@ import json
 import resource
 import signal
 import tempfile
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -58,12 +58,21 @@ from smp_planner.movement_primitives import GaussianBasis, ProMP
 LIMIT = 10.0
 """Seconds that a call may take."""
 
+SHARE_OF_FILES = 0.3
+
+OUTCOMES = ("named", "unnamed", "leaked", "accepted", "sound", "hung", "memory")
+"""Refused with an error that names the argument, or does not; another error than bad values are
+said to cause; accepted; a damaged file that is as good as it was; too long; too much memory."""
+
 _ALIASES = {
     "name": ("method",),
     "options": ("scene", "options"),
-    "path": ("none.urdf", "file"),
+    "path": ("none.urdf", "director"),
     "demonstrations": ("none.npz",),
     "scene.json": ("scene",),
+    "arm.urdf": ("joint '", "link"),
+    "max_episode_steps": ("limit",),
+    "motion": ("times",),
 }
 """Other words that name an argument."""
 
@@ -80,8 +89,19 @@ def of(*values: Any) -> Draw:
 
 def no_number(rng: np.random.Generator) -> Any:
     """Draw what is no finite number."""
-    values = (np.nan, np.inf, -np.inf, "one", None, 1j, object(), [], {}, 10**400, b"one")
-    return values[rng.integers(len(values))]
+    return of(
+        np.nan,
+        np.inf,
+        -np.inf,
+        "one",
+        None,
+        1j,
+        object(),
+        [],
+        {},
+        10**400,
+        b"one",
+    )(rng)
 
 
 def not_positive(rng: np.random.Generator) -> Any:
@@ -91,8 +111,17 @@ def not_positive(rng: np.random.Generator) -> Any:
 
 def no_count(rng: np.random.Generator) -> Any:
     """Draw what is no count."""
-    values = (1.5, -1, "three", None, np.nan, 2j, [1], -(2**70), np.array([1.5, 2.5]))
-    return values[rng.integers(len(values))]
+    return of(
+        1.5,
+        -1,
+        "three",
+        None,
+        np.nan,
+        2j,
+        [1],
+        -(2**70),
+        np.array([1.5, 2.5]),
+    )(rng)
 
 
 def no_vector(rng: np.random.Generator) -> Any:
@@ -100,7 +129,7 @@ def no_vector(rng: np.random.Generator) -> Any:
     vector = rng.normal(size=rng.choice([2, 3, 6, 7]))
     bad = vector.copy()
     bad[rng.integers(len(bad))] = rng.choice([np.nan, np.inf])
-    values = (
+    return of(
         bad,
         bad.tolist(),
         vector + 1j,
@@ -115,23 +144,37 @@ def no_vector(rng: np.random.Generator) -> Any:
         None,
         5,
         [[1.0, 2.0], [3.0]],
-    )
-    return values[rng.integers(len(values))]
+    )(rng)
 
 
 def no_name(rng: np.random.Generator) -> Any:
     """Draw what names nothing that there is."""
-    values = ("", "nothing", 3, None, b"smp", ("smp",), 1.5, "smp\0", "x" * 100_000)
-    return values[rng.integers(len(values))]
+    return of(
+        "",
+        "nothing",
+        3,
+        None,
+        b"smp",
+        ("smp",),
+        1.5,
+        "smp\0",
+        "x" * 100_000,
+    )(rng)
 
 
 def no_demonstrations(rng: np.random.Generator) -> Any:
-    """Draw what are no demonstrations in the plane."""
+    """Draw what are no demonstrations: no paths, all of one point, or quaternions."""
+    unit = rng.normal(size=(3, 20, 4))
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    return of(unit, np.zeros((3, 20, 2)), *(no_paths(rng) for _ in range(4)))(rng)
+
+
+def no_paths(rng: np.random.Generator) -> Any:
+    """Draw what are no paths in the plane."""
     paths = rng.normal(size=(3, 20, 2))
     holed = paths.copy()
     holed[rng.integers(3), rng.integers(20)] = rng.choice([np.nan, np.inf])
-    unit = rng.normal(size=(3, 20, 4))
-    values = (
+    return of(
         holed,
         paths + 1j,
         paths.astype(str),
@@ -141,28 +184,33 @@ def no_demonstrations(rng: np.random.Generator) -> Any:
         paths[0],
         paths[:, :1],
         [paths[0], paths[1, :, :1]],
-        unit / np.linalg.norm(unit, axis=-1, keepdims=True),
-        np.zeros((3, 20, 2)),
         [],
         None,
         7,
         "none.npz",
         "none.txt",
         {"a": paths[0]},
-    )
-    return values[rng.integers(len(values))]
+    )(rng)
 
 
 def no_list(rng: np.random.Generator) -> Any:
     """Draw what is no list of obstacles or via-points."""
-    values = (3, "walls", None, [3], [None], {"a": 1}, object(), np.zeros((2, 2)), [[0.0, 1.0]])
-    return values[rng.integers(len(values))]
+    return of(
+        3,
+        "walls",
+        None,
+        [3],
+        [None],
+        {"a": 1},
+        object(),
+        np.zeros((2, 2)),
+        [[0.0, 1.0]],
+    )(rng)
 
 
 def no_mapping(rng: np.random.Generator) -> Any:
     """Draw what is no mapping of known names to numbers."""
-    values = (["a"], {"a": 1.0}, {3: 1.0}, "a", 3, {"joint_1": "x"})
-    return values[rng.integers(len(values))]
+    return of(["a"], {"a": 1.0}, {3: 1.0}, "a", 3, {"joint_1": "x"})(rng)
 
 
 @dataclass(frozen=True)
@@ -216,7 +264,7 @@ def entries(folder: Path) -> list[Entry]:
     return [
         Entry("gymnasium.make", make, {"difficulty": no_name, "reward": no_name, "width": no_count,
               "height": of(0, 10**10, 1.5, "a", None), "camera": of(3, {"yaw": np.nan}, "a"),
-              "control": no_name, "family": no_name, "sensing": no_name, "noise": not_positive,
+              "control": no_name, "family": no_name, "sensing": no_name, "noise": of(-1.0, np.nan, "a", [], 1j),
               "max_episode_steps": of(0, -5, 1.5, "a", 10**9)},
               {"difficulty": "easy", "render_mode": "rgb_array"}),
         Entry("env.step", env.step, {"action": no_vector}),
@@ -236,12 +284,13 @@ def entries(folder: Path) -> list[Entry]:
               {"times": (0.0, 1.0), "points": ((0, 0, 0), (1, 1, 1))}),
         Entry("Goal", Goal, {"kind": no_name, "position": no_vector}, {"position": (0, 0, 0)}),
         Entry("ManipulatedObject", ManipulatedObject, {"size": no_vector, "mass": not_positive}),
-        Entry("Demonstrations", Demonstrations, {"configurations": no_demonstrations,
-              "gripper": no_demonstrations, "durations": no_vector, "task": no_name,
+        Entry("Demonstrations", Demonstrations, {"configurations": no_paths,
+              "gripper": no_paths, "durations": no_vector, "task": no_name,
               "scenes": of((), (1,), None, "a"), "metadata": of(3, [1], None)},
               {name: getattr(shown, name) for name in
                ("task", "configurations", "gripper", "durations", "scenes")}),
-        Entry("resample", resample, {"values": no_demonstrations, "samples": no_count},
+        Entry("resample", resample, {"values": of(None, "a", 3, np.zeros(5), np.zeros((3, 2)),
+              np.full((9, 2), 1j)), "samples": no_count},
               {"values": paths[0]}),
         Entry("SMP.fit", SMP.fit, {"demonstrations": no_demonstrations, "robot": of(3, "a", paths),
               **learning}, {"demonstrations": paths}),
@@ -271,7 +320,7 @@ def entries(folder: Path) -> list[Entry]:
               "map": no_name, "modulation": no_name}),
         Entry("PriorSettings", PriorSettings, learning),
         Entry("adaptation", adaptation, {"name": no_name, "iterations": no_count,
-              "step_size": not_positive}, {"name": "smp"}),
+              "step_size": of(0, -1.0, np.nan, np.inf, "a", 1j, [])}, {"name": "smp"}),
         Entry("make_planner", make_planner, {"name": no_name, "task": of("", "x", 3, b"a", 1.5),
               "settings": of({"a": 1}, 3, "a", {"margin": np.nan}, {"particles": -1}),
               "demonstrations": of(3, "a", paths)}, {"name": "promp", "task": "Placement"}),
@@ -284,7 +333,7 @@ def entries(folder: Path) -> list[Entry]:
               "velocities": no_mapping, "bodiless": of("a", 3, ["a"], [3]),
               "packages": of({"a": "/no/folder"}, 3, ["a"])},
               {"path": jaco_urdf(), "tip": "j2s6s200_end_effector"}),
-        Entry("ProMP.fit", ProMP.fit, {"demonstrations": no_demonstrations,
+        Entry("ProMP.fit", ProMP.fit, {"demonstrations": no_paths,
               "smooth_std": not_positive, "smooth_length_scale": not_positive},
               {"demonstrations": paths}),
         Entry("GaussianBasis", GaussianBasis, {"count": no_count}),
@@ -318,6 +367,7 @@ def readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], Any]]]:
     (folder / "paths.csv").write_text("\n".join(["demonstration,time,x,y", *rows]))
     PlannerPolicy.make("promp", "Placement").save(folder / "policy.zip")
     (folder / "arm.urdf").write_bytes(Path(jaco_urdf()).read_bytes())
+    (folder / "scene.json").write_text(sample_scene("Placement", "easy", 0).to_json())
     (folder / "scene.yaml").write_text(
         "world:\n  collision_objects:\n    - id: can\n      primitives:\n        - type: cylinder\n"
         "          dimensions: [0.1, 0.05]\n      primitive_poses:\n"
@@ -356,7 +406,7 @@ def judged(call: Callable[[], Any], name: str) -> tuple[str, str]:
     def stop(*_: Any) -> None:
         raise Overtime
 
-    signal.signal(signal.SIGALRM, stop)
+    before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, LIMIT)
     try:
         call()
@@ -374,31 +424,30 @@ def judged(call: Callable[[], Any], name: str) -> tuple[str, str]:
         return "leaked", f"{type(error).__name__}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
-def main(
-    count: Annotated[int, typer.Option(help="Bad inputs to draw.", min=1)] = 800,
-    seed: Annotated[int, typer.Option(help="Of what is drawn.", min=0)] = 0,
-    verbose: Annotated[bool, typer.Option(help="Print what was not refused by name.")] = False,
-) -> None:
-    """Attack, and print a table."""
-    warnings.simplefilter("ignore")
-    torch.set_num_threads(1)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    console, rng = Console(), np.random.default_rng(seed)
+def attack(
+    count: int, seed: int, report: Callable[[str], None] = lambda line: None
+) -> dict[str, Counter[str]]:
+    """Return how often what came of bad inputs, by entry point.
+
+    Args:
+        count: bad inputs to draw.
+        seed: of what is drawn.
+        report: is told of each that was not refused by name.
+    """
+    rng = np.random.default_rng(seed)
     outcomes: dict[str, Counter[str]] = {}
-    longest = 0.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         arguments, files = entries(folder), readers(folder)
-        (folder / "scene.json").write_text(sample_scene("Placement", "easy", 0).to_json())
         contents = {path: path.read_bytes() for _, path, _ in files}
         for _ in range(count):
-            begin = time.perf_counter()
-            if rng.random() < 0.3:
+            if rng.random() < SHARE_OF_FILES:
                 title, path, read = files[rng.integers(len(files))]
                 path.write_bytes(damaged(contents[path], rng))
-                what, said = judged(lambda read=read, path=path: read(path), path.name)  # type: ignore[misc]
+                what, said = judged(partial(read, path), path.name)
                 what = {"accepted": "sound"}.get(what, what)
                 path.write_bytes(contents[path])
                 shown = path.name
@@ -406,19 +455,34 @@ def main(
                 entry = arguments[rng.integers(len(arguments))]
                 title, argument = entry.name, sorted(entry.bad)[rng.integers(len(entry.bad))]
                 value = entry.bad[argument](rng)
-                given = {**entry.good, argument: value}
-                what, said = judged(lambda e=entry, g=given: e.call(**g), argument)  # type: ignore[misc]
+                what, said = judged(
+                    partial(entry.call, **{**entry.good, argument: value}), argument
+                )
                 shown = f"{argument}={value!r:.80}"
-            longest = max(longest, time.perf_counter() - begin)
             outcomes.setdefault(title, Counter())[what] += 1
-            if verbose and what not in ("named", "sound"):
-                console.print(f"{what}: {title}({shown}) {said[:300]}", markup=False)
-    kinds = ("named", "unnamed", "leaked", "accepted", "sound", "hung", "memory")
-    table = Table("entry point", *kinds, title=f"{count} bad inputs, longest {longest:.1f} s")
+            if what not in ("named", "sound"):
+                report(f"{what}: {title}({shown}) {said[:300]}")
+    return outcomes
+
+
+def main(
+    count: Annotated[int, typer.Option(help="Bad inputs to draw.", min=1)] = 800,
+    seed: Annotated[int, typer.Option(help="Of what is drawn.", min=0)] = 0,
+) -> None:
+    """Attack the public entry points, and print a table.
+
+    Example: python scripts/attack.py --count 800 --seed 0
+    """
+    warnings.simplefilter("ignore")
+    torch.set_num_threads(1)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    console = Console()
+    outcomes = attack(count, seed, partial(console.print, markup=False))
+    table = Table("entry point", *OUTCOMES, title=f"{count} bad inputs")
     for title, counted in sorted(outcomes.items()):
-        table.add_row(title, *(str(counted[kind] or "") for kind in kinds))
+        table.add_row(title, *(str(counted[what] or "") for what in OUTCOMES))
     total: Counter[str] = sum(outcomes.values(), Counter())
-    table.add_row("all", *(str(total[kind]) for kind in kinds))
+    table.add_row("all", *(str(total[what]) for what in OUTCOMES))
     console.print(table)
 
 

@@ -74,7 +74,7 @@ def checked_array(
     ):
         wanted = tuple("any" if length is None else length for length in shape)
         raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
-    checked: FloatArray = np.array(array, np.float64)
+    checked: FloatArray = np.array(array, np.float64, order="C")
     bad = np.isinf(checked) if nan else ~np.isfinite(checked)
     if bad.any():
         index = tuple(int(i) for i in np.argwhere(bad)[0])

@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array
 from smp_gym.scene import MAX_OBSTACLES, SHAPES, ManipulatedObject, Obstacle, Scene
 from smp_gym.tasks.goals import Field
 from smp_gym.tasks.registry import make_task
@@ -450,7 +450,10 @@ def _as_dict(observation: Any, task: str) -> dict[str, FloatArray]:
                 f"observation must have the keys {sorted(space.spaces)}, got "
                 f"{sorted(map(str, observation))}: is it from a smp_gym environment?"
             )
-        vectors = {key: np.asarray(observation[key]) for key in space.spaces}
+        vectors = {
+            key: checked_array(f"observation[{key!r}]", observation[key], nan=True)
+            for key in space.spaces
+        }
     else:
         flat = np.asarray(observation)
         if flat.shape != (spaces.flatdim(space),):

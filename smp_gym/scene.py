@@ -141,7 +141,7 @@ def _plain(value: Any) -> Any:
     """Return a vector of real numbers as plain floats."""
     if type(value) in (tuple, list) and all(type(entry) in (float, int) for entry in value):
         return value
-    return tuple(checked_array("the vector", value).tolist())
+    return tuple(checked_array("the vector", value, (None,)).tolist())
 
 
 _Plain = BeforeValidator(_plain)
@@ -261,7 +261,10 @@ class Obstacle(_Frozen):
     def _velocity_of_motion(cls, fields: Any) -> Any:
         if not isinstance(fields, Mapping) or fields.get("motion") is None or "velocity" in fields:
             return fields
-        motion = Motion.model_validate(fields["motion"])
+        try:
+            motion = Motion.model_validate(fields["motion"])
+        except ValueError as error:
+            raise ValueError(f"motion of an obstacle is none: {error}") from error
         return {**fields, "motion": motion, "velocity": tuple(motion.at(0.0)[1].tolist())}
 
     @model_validator(mode="after")

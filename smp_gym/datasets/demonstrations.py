@@ -10,7 +10,7 @@ read from the data (`Demonstrations.release_phase`).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,10 @@ class Demonstrations:
         durations = _checked_array("durations", self.durations, (count,))
         if durations.min() <= 0.0:
             raise ValueError(f"Demonstrations.durations must be positive, got {durations.min()}")
+        if not isinstance(self.scenes, Sequence) or not all(
+            isinstance(scene, Scene) for scene in self.scenes
+        ):
+            raise ValueError(f"Demonstrations.scenes must be Scenes, got {shown(self.scenes)}")
         scenes = tuple(self.scenes)
         if len(scenes) != count:
             raise ValueError(

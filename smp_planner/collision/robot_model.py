@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray, IntArray
+from smp_gym.arrays import FloatArray, IntArray, checked_array
 from smp_gym.robot import forward_kernels, kinematics
 from smp_gym.robot.kinematics import SphereSet
 
@@ -31,12 +31,7 @@ _STEPS_OF_A_TURN = 256
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
     # Read-only arrays are another type to the compiler: without the copies it would do its work
     # anew for each kind of robot.
-    array = np.array(value, np.float64, order="C")
-    if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {array}")
-    return array
+    return checked_array(name, value, shape)
 
 
 @dataclass(frozen=True, eq=False)

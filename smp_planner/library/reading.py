@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray, shown
+from smp_gym.arrays import FloatArray
 from smp_gym.untrusted_files import read_arrays, read_file
 from smp_planner.library.csv_table import read_csv
 from smp_planner.movement_primitives.samples import checked_demonstrations
@@ -44,8 +44,6 @@ def demonstrations_of(
         except ValueError as error:
             named = str(path) in str(error)
             raise error if named else ValueError(f"{path}: {error}") from error
-    if isinstance(given, np.ma.MaskedArray) or not isinstance(given, Iterable):
-        raise ValueError(f"demonstrations must be arrays of numbers, got {shown(given)}")
     return _fixed(given, nan_is_missing)
 
 

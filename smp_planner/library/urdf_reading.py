@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, shown
 from smp_gym.untrusted_files import read_file
 
 __all__ = ["CONTINUOUS_LIMIT", "Description", "Joint", "Link", "Shape", "read_description"]
@@ -335,7 +335,9 @@ class _Folders:
 
     def __init__(self, file: Path, packages: Mapping[str, str | Path] | None) -> None:
         self._file = file.resolve()
-        self._packages = {name: Path(folder) for name, folder in dict(packages or {}).items()}
+        if packages is not None and not isinstance(packages, Mapping):
+            raise ValueError(f"packages must map names to folders, got {shown(packages)}")
+        self._packages = {name: Path(folder) for name, folder in (packages or {}).items()}
         for name, folder in self._packages.items():
             if not folder.is_dir():
                 raise FileNotFoundError(f"packages names {str(folder)!r} for {name!r}: no folder")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from smp_gym.arrays import checked_array
+from smp_gym.arrays import checked_array, shown
 
 __all__ = ["checked_demonstrations", "equal_stacks"]
 
@@ -28,6 +29,8 @@ def checked_demonstrations(
         ValueError: too few demonstrations, not all of one dimension, too few samples in one, or a
             number that is not finite.
     """
+    if isinstance(demonstrations, np.ma.MaskedArray) or not isinstance(demonstrations, Iterable):
+        raise ValueError(f"demonstrations must be arrays of numbers, got {shown(demonstrations)}")
     checked: list[Tensor] = []
     for index, given in enumerate(demonstrations):
         d = _tensor(given, index)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel, jaco_model, jaco_of_spheres
@@ -19,7 +19,7 @@ from smp_planner.planning.bodies import Body, RobotBody
 from smp_planner.planning.clock import Clock
 from smp_planner.planning.constraints import Constraint, Exactly, Poses, Reaching, ToolPath
 from smp_planner.planning.maps import WORKSPACE
-from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose, checked_array
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
 if TYPE_CHECKING:
     from smp_planner.planning.plan import Plan

@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_planner.movement_primitives.box_prior import box_offset
 
-__all__ = ["GoalRegion", "ToolViaPoint", "ViaPose", "checked_array"]
-
-
-def checked_array(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
-    """Return a finite float64 array of a shape.
-
-    Raises:
-        ValueError: another shape, or not finite.
-    """
-    array = np.asarray(value, np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {array}")
-    return array
+__all__ = ["GoalRegion", "ToolViaPoint", "ViaPose"]
 
 
 def _checked_phase(name: str, phase: float) -> None:
-    if not 0.0 <= phase <= 1.0:
-        raise ValueError(f"{name}.phase must lie in [0, 1], got {phase}")
+    checked_number(f"{name}.phase", phase, least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)
@@ -104,5 +88,4 @@ class ToolViaPoint:
             value = checked_array(f"ToolViaPoint.{name}", getattr(self, name), (3,))
             object.__setattr__(self, name, value)
         _checked_phase("ToolViaPoint", self.phase)
-        if not self.tolerance > 0.0:
-            raise ValueError(f"ToolViaPoint.tolerance must be positive, got {self.tolerance}")
+        checked_number("ToolViaPoint.tolerance", self.tolerance, above=0.0)
