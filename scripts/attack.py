@@ -264,7 +264,8 @@ def entries(folder: Path) -> list[Entry]:
     return [
         Entry("gymnasium.make", make, {"difficulty": no_name, "reward": no_name, "width": no_count,
               "height": of(0, 10**10, 1.5, "a", None), "camera": of(3, {"yaw": np.nan}, "a"),
-              "control": no_name, "family": no_name, "sensing": no_name, "noise": of(-1.0, np.nan, "a", [], 1j),
+              "control": no_name, "family": no_name, "sensing": no_name,
+              "noise": of(-1.0, np.nan, "a", [], 1j),
               "max_episode_steps": of(0, -5, 1.5, "a", 10**9)},
               {"difficulty": "easy", "render_mode": "rgb_array"}),
         Entry("env.step", env.step, {"action": no_vector}),

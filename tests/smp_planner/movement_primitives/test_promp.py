@@ -499,8 +499,8 @@ def test_bad_demonstrations_are_errors(demonstrations, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"smooth_std": -0.1}, "std must be finite and not negative, got -0.1"),
-        ({"smooth_length_scale": 0.0}, "length_scale must be positive"),
+        ({"smooth_std": -0.1}, "smooth_std must be .* at least 0.0, got -0.1"),
+        ({"smooth_length_scale": 0.0}, "smooth_length_scale must be .* above 0.0"),
     ],
 )
 def test_bad_smoothness_is_an_error(arguments, message):
