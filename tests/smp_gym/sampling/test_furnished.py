@@ -265,8 +265,8 @@ def test_an_environment_plays_a_family(kind):
             ("Placement", "none", 0, "shelf"),
             f"difficulty of shelf must be one of {', '.join(CROWDED)}; got 'none'",
         ),
-        (("Placement", "easy", -1, "shelf"), "must not be negative, got -1 and 0"),
-        (("Placement", "easy", 0, "shelf", -3), "must not be negative, got 0 and -3"),
+        (("Placement", "easy", -1, "shelf"), "seed must be a whole number .* got -1"),
+        (("Placement", "easy", 0, "shelf", -3), "version must be a whole number .* got -3"),
     ],
 )
 def test_bad_arguments_are_named(arguments, message):

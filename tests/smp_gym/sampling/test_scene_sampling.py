@@ -125,8 +125,8 @@ def test_very_large_seeds_are_seeds():
     [
         (("Juggling", "easy", 0), "task must be one of Placement, .*; got 'Juggling'"),
         (("Placement", "nasty", 0), "must be one of none, easy, medium, hard; got 'nasty'"),
-        (("Placement", "easy", -1), "must not be negative, got -1"),
-        (("Placement", "easy", 0, "obstacles", -2), "must not be negative, got 0 and -2"),
+        (("Placement", "easy", -1), "seed must be a whole number .* got -1"),
+        (("Placement", "easy", 0, "obstacles", -2), "version must be a whole number .* got -2"),
     ],
 )
 def test_bad_arguments_are_named(arguments, message):
