@@ -22,6 +22,8 @@ _MOST_TRIANGLES = 1_000_000
 _MESH_KINDS = {"dae", "glb", "obj", "off", "ply", "stl"}
 """Kinds of files that are a mesh of their own, not archives or lists of other files."""
 
+_MILLIMETRES = 'if its lengths are millimetres, give it scale="0.001 0.001 0.001"'
+
 _LARGEST_MESH = 256 * 2**20
 """Bytes of a file."""
 
@@ -48,7 +50,7 @@ def cover_link(link: Link, cell: float, left: int = MOST_SPHERES) -> FloatArray:
                 raise ValueError(
                     f"the mesh of link {link.name!r}, {_size(extent)}, would be cut into about "
                     f"{cut:.0f} triangles for cell={cell} m, beyond {_MOST_TRIANGLES}: choose a "
-                    "larger cell, or a mesh of fewer triangles"
+                    f"larger cell or a mesh of fewer triangles or, {_MILLIMETRES}"
                 )
             spheres = cover_mesh(mesh, cell)
         else:
@@ -75,8 +77,7 @@ def _refuse_beyond(
         raise ValueError(
             f"the {shape.kind} of link {link.name!r}, {_size(extent)}, would need about "
             f"{needed:.0f} spheres of cell={cell} m, beyond the {MOST_SPHERES} that a robot may "
-            "have: choose a larger cell or, if lengths are in millimetres, give the mesh "
-            'scale="0.001 0.001 0.001"'
+            f"have: choose a larger cell or, {_MILLIMETRES}"
         )
 
 

@@ -98,7 +98,7 @@ def test_the_steps_of_a_stage_cover_it(first, last, count, steps):
 def test_bad_stages_and_via_poses_are_refused():
     with pytest.raises(ValueError, match="must lie in"):
         arm_stage(0.5, 0.5, arm_spheres(), ())
-    with pytest.raises(ValueError, match="phase must be .* at most 1.0, got 1.2"):
+    with pytest.raises(ValueError, match=r"phase must be .* at most 1.0, got 1.2"):
         ViaPose(1.2, np.eye(4))
     with pytest.raises(ValueError, match=r"pose must have shape \(4, 4\), got \(3,\)"):
         ViaPose(0.2, np.zeros(3))
