@@ -29,11 +29,17 @@ __all__ = ["COLUMNS", "COMPARED_SETTINGS", "PRIOR_WIDTHS", "Cell", "cells_of", "
 
 
 def _of(inference: str, iterations: int = 100) -> dict[str, Any]:
-    return {"inference": inference, "iterations": iterations, "step_size": None}
+    return {
+        "inference": inference,
+        "iterations": iterations,
+        "step_size": None,
+        "widths": (1.0,),
+    }
 
 
 COMPARED_SETTINGS: dict[str, dict[str, Any]] = {
-    "quick": {},
+    "tempered": {},
+    "quick": {"inference": "quick", "step_size": None, "widths": (1.0,)},
     "default": _of("default"),
     "paper": _of("paper"),
     "paper, 4 times the iterations": _of("paper", 400),
@@ -46,7 +52,8 @@ COMPARED_SETTINGS: dict[str, dict[str, Any]] = {
     "no repulsion": _of("no_repulsion"),
 }
 """Compared variants, by the name in the table; settings of `smp` on top of the task's own, which
-are "quick". All others change one thing of "default", and have its iterations.
+are "tempered". "quick" has their iterations; all others change one thing of "default", and have its
+iterations. These have the prior of one width.
 
 Without repulsion each particle ascends its own gradient: independent restarts."""
 

@@ -18,8 +18,8 @@ __all__ = ["plan_unadapted"]
 def plan_unadapted(task: str, problem: Problem) -> Plan | None:
     """Return the first try of the unadapted primitive with a good draw, else its first try.
 
-    A try has as many draws as `smp` has particles; each further one has twice the added deviation,
-    as `smp`'s retries have, and there are as many.
+    A try has as many draws as `smp` chooses its particles from; each further one has twice the
+    added deviation, as `smp`'s retries have, and there are as many.
 
     Args:
         task: whose primitive it is.
@@ -30,19 +30,21 @@ def plan_unadapted(task: str, problem: Problem) -> Plan | None:
     """
     planner = primitive_of(task)
     settings, first = planner.plan_settings, None
+    overdraw = getattr(planner.adaptation.settings, "overdraw", 1)
+    drawn_from = settings.model_copy(update={"particles": overdraw * settings.particles})
     with one_thread():
         for number in range(settings.retries + 1):
             try:
-                parts = conditioned_parts(planner.prior, problem, settings, 2.0**number)
+                parts = conditioned_parts(planner.prior, problem, drawn_from, 2.0**number)
             except UnreachableError:
                 break
             drawn = [
                 part.primitive.trajectory(part.primitive.unwhiten(part.latent), settings.samples)
                 for part in parts
             ]
-            distance = [0.5 * part.latent.square().sum(-1).numpy() for part in parts]
+            surprise = [part.surprise for part in parts]
             trajectories = np.concatenate([paths.numpy() for paths in drawn])
-            plan = make_plan(problem, trajectories, {"prior": np.concatenate(distance)}, settings)
+            plan = make_plan(problem, trajectories, {"prior": np.concatenate(surprise)}, settings)
             if first is None or plan.good.any():
                 first = plan
             if plan.good.any():
