@@ -185,7 +185,7 @@ ONE = '{"format": "smp_gym.episodes", "version": 2, "episodes": 1, "unknown": 0}
 
 
 def packed(text):
-    return gzip.compress(text if isinstance(text, bytes) else text.encode())
+    return gzip.compress(text if isinstance(text, bytes) else text.encode(), mtime=0)
 
 
 @pytest.mark.parametrize(
