@@ -257,7 +257,7 @@ def test_resample_is_exact_on_cubics():
     [
         (np.zeros(5), 10, "values must have shape"),
         (np.zeros((3, 6)), 10, "values must have shape"),
-        (np.zeros((5, 6)), 1, "samples must be at least 2, got 1"),
+        (np.zeros((5, 6)), 1, "samples must be a whole number at least 2, got 1"),
     ],
 )
 def test_resample_names_bad_values(values, samples, message):
