@@ -69,6 +69,10 @@ class SceneTarget:
                 terms[constraint.name] = 1.0, pull
         terms |= extra or {}
         self._terms = {name: term for name, term in terms.items() if term[0] > 0.0}
+        # A check against a protocol takes long, so it is made once.
+        self._compiled = {
+            name: cost for name, (_, cost) in self._terms.items() if isinstance(cost, CompiledCost)
+        }
 
     @property
     def steps(self) -> int:
@@ -124,15 +128,15 @@ class SceneTarget:
             self._add_collision(
                 part, width, settings.margin, settings.obstacle_weight, total, slope
             )
-            for name, (weight, cost) in self._terms.items():
-                if isinstance(cost, CompiledCost) and self._rest(name, count).start == 0:
-                    cost.add(part, weight, total, slope)
+            for name, cost in self._compiled.items():
+                if self._rest(name, count).start == 0:
+                    cost.add(part, self._terms[name][0], total, slope)
 
         count = trajectories.shape[1]
         self._threads.over(len(trajectories), add)
         for name, (weight, cost) in self._terms.items():
             rest = self._rest(name, count)
-            if not isinstance(cost, CompiledCost) or rest.start > 0:
+            if name not in self._compiled or rest.start > 0:
                 found, slope = cost(np.ascontiguousarray(trajectories[:, rest]))
                 scale = weight * slope.shape[1] / count
                 value += scale * found
