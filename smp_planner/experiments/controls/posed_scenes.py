@@ -11,13 +11,14 @@ import gymnasium
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.registration import environment_id
 from smp_gym.scene import Scene
+from smp_planner.adaptation import SteinSettings
 from smp_planner.planners import make_planner, task_settings
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings, PriorSettings
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["environment", "posed", "posing_policy", "primitive_of"]
+__all__ = ["environment", "overdraw_of", "posed", "posing_policy", "primitive_of"]
 
 
 @functools.lru_cache(maxsize=4)
@@ -34,6 +35,13 @@ def primitive_of(task: str) -> PrimitivePlanner:
     planner = make_planner("promp", task, settings=settings)
     assert isinstance(planner, PrimitivePlanner)
     return planner
+
+
+def overdraw_of(task: str) -> int:
+    """Return how many draws of the prior `smp` wants for each particle of a task."""
+    settings = task_settings("smp", task)
+    known = {name: value for name, value in settings.items() if name in SteinSettings.model_fields}
+    return SteinSettings.model_validate(known).overdraw
 
 
 @functools.lru_cache(maxsize=4)

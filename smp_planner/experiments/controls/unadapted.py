@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from smp_gym.robot.kinematics import UnreachableError
-from smp_planner.experiments.controls.posed_scenes import primitive_of
+from smp_planner.experiments.controls.posed_scenes import overdraw_of, primitive_of
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.pipeline import conditioned_parts
 from smp_planner.planning.plan import Plan
@@ -30,8 +30,8 @@ def plan_unadapted(task: str, problem: Problem) -> Plan | None:
     """
     planner = primitive_of(task)
     settings, first = planner.plan_settings, None
-    overdraw = getattr(planner.adaptation.settings, "overdraw", 1)
-    drawn_from = settings.model_copy(update={"particles": overdraw * settings.particles})
+    draws = overdraw_of(task) * settings.particles
+    drawn_from = settings.model_copy(update={"particles": draws})
     with one_thread():
         for number in range(settings.retries + 1):
             try:
