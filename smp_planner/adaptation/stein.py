@@ -17,6 +17,7 @@ from smp_planner.inference import State, SVGDSettings, converged, init, named_se
 
 __all__ = [
     "SteinSettings",
+    "affordable",
     "edge_progress",
     "inference_for",
     "inference_of",
@@ -65,7 +66,7 @@ class SteinSettings(BaseModel):
 
     @model_validator(mode="after")
     def _stops_or_competes(self) -> SteinSettings:
-        if self.early_stop and inference_of(self).competes:
+        if self.early_stop and self.competes:
             raise ValueError(f"early_stop must be off with inference {self.inference!r}")
         return self
 
@@ -93,6 +94,21 @@ def inference_for(runs: Runs, settings: SteinSettings) -> SVGDSettings:
             root = runs.primitives[0].whiten_gradient(root)
         inference = inference.with_metric(root)
     return inference
+
+
+def affordable(iterations: int, done: int, begin: float, until: float) -> int:
+    """Return how many iterations there is time for in all, at most as many as are wanted.
+
+    Args:
+        iterations: wanted in all.
+        done: of them, whose mean time the rest is taken to need, too.
+        begin: time of `time.perf_counter` when the first began.
+        until: time by which to return; infinity for none.
+    """
+    if until == math.inf or done < _TIMED:
+        return iterations
+    now = time.perf_counter()
+    return min(iterations, done + max(0, int((until - now) * done / (now - begin))))
 
 
 def edge_progress(state: State, inference: SVGDSettings) -> float:
@@ -154,13 +170,11 @@ def stein(
     state = init(latent if inference.whiten else runs.unwhiten(latent), inference)
     begin = time.perf_counter()
     while state.iteration < inference.iterations:
-        if until < math.inf and state.iteration >= _TIMED:
-            now = time.perf_counter()
-            room = int((until - now) * state.iteration / (now - begin))
-            if room < 1:
-                break
-            if state.iteration + room < inference.iterations:
-                inference = replace(inference, iterations=state.iteration + room)
+        iterations = affordable(inference.iterations, state.iteration, begin, until)
+        if iterations <= state.iteration:
+            break
+        if iterations < inference.iterations:
+            inference = replace(inference, iterations=iterations)
         particles = state.particles
         state = iterate(runs, state, target, inference)
         if ask:

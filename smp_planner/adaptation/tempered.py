@@ -23,7 +23,7 @@ from torch import Tensor
 
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation.runs import Runs, SceneCosts
-from smp_planner.adaptation.stein import SteinSettings, inference_for
+from smp_planner.adaptation.stein import SteinSettings, affordable, inference_for
 from smp_planner.inference import State, SVGDSettings, step
 from smp_planner.inference.hamiltonian import Evaluated, hamiltonian_moves
 from smp_planner.inference.resampling import effective_size, resampled, temperature_rise
@@ -36,9 +36,6 @@ _JITTER = 0.2
 
 _FIRST_ANGLE = 0.08
 """Step, rad, with which Hamiltonian moves begin; each particle's own follows its acceptance."""
-
-_TIMED = 2
-"""Iterations after which it is asked how many more there is time for."""
 
 
 @dataclass(eq=False)
@@ -57,7 +54,8 @@ class _Part:
     def of(cls, runs: Runs, latent: Tensor, scene: SceneCosts, inference: SVGDSettings) -> _Part:
         particles = latent.numpy()
         empty = np.empty(0)
-        part = cls(runs, scene, inference, particles, empty, empty)
+        # The temperature is put into the score.
+        part = cls(runs, scene, replace(inference, annealing=0.0), particles, empty, empty)
         part.memory = inference.optimizer.init(latent[None])
         return part
 
@@ -79,9 +77,8 @@ class _Part:
         """Take one iteration of SVGD at a temperature."""
         particles = torch.from_numpy(self.particles)[None]
         score = torch.from_numpy(self.gradient)[None] * -temperature
-        # The temperature is in the score already.
-        settings = replace(self.inference, annealing=0.0)
-        state = step(State(particles, self.memory, iteration), -particles, score, settings)
+        state = State(particles, self.memory, iteration)
+        state = step(state, -particles, score, self.inference)
         self.particles, self.memory = state.particles[0].numpy(), state.memory
 
     def take(self, chosen: NDArray[np.intp], rng: np.random.Generator) -> None:
@@ -94,6 +91,7 @@ class _Part:
 
     def move(self, moves: int, rng: np.random.Generator) -> None:
         """Move the particles by Hamiltonian Monte Carlo."""
+        self.evaluate()
         moved, _ = hamiltonian_moves(
             Evaluated(self.particles, self.value, self.gradient),
             self.potential,
@@ -128,12 +126,11 @@ class _Population:
         return [part for part in self.parts if len(part.particles)]
 
     def choose(self, count: int) -> None:
-        """Choose so many of the draws, at the temperature at which as many are worth choosing."""
+        """Choose fewer of the draws, at the temperature at which so many are worth choosing."""
         for part in self.present:
             part.weigh()
         values = self._values()
-        if count < len(values):
-            self.temperature = temperature_rise(-values, 1.0, count)
+        self.temperature = temperature_rise(-values, 1.0, count)
         self._resample(-self.temperature * values, count)
 
     def rise(self, temperature: float, effective_share: float) -> None:
@@ -204,12 +201,13 @@ def tempered_stein(
     begin, iterations = time.perf_counter(), inference.iterations
     iteration = 0
     while iteration < iterations:
-        if until < math.inf and iteration >= _TIMED:
-            now = time.perf_counter()
-            room = int((until - now) * iteration / (now - begin))
-            if room < 1:
-                break
-            iterations = min(iterations, iteration + room)
+        fewer = affordable(iterations, iteration, begin, until)
+        if fewer <= iteration:
+            break
+        if fewer < iterations:
+            iterations = fewer
+            for part in population.parts:
+                part.inference = replace(part.inference, iterations=iterations)
         for part in population.present:
             part.evaluate()
         if inference.annealing > 0.0:
@@ -218,11 +216,9 @@ def tempered_stein(
             temperature = 1.0
         population.rise(temperature, inference.resampling)
         for part in population.present:
-            part.inference = replace(part.inference, iterations=iterations)
             part.descend(population.temperature, iteration)
         iteration += 1
     for part in population.present:
-        part.evaluate()
         if inference.moves and time.perf_counter() < until:
             part.move(inference.moves, rng)
     return [torch.from_numpy(part.particles) for part in population.parts]

@@ -34,7 +34,7 @@ __all__ = ["DevicePlanner", "Finished", "Targets"]
 
 @dataclass(frozen=True)
 class Targets:
-    """What makes the target of a batch from its tables.
+    """Factory of the target of a batch from its tables.
 
     Attributes:
         own: name, weight and function of the costs of one's own.

@@ -97,7 +97,7 @@ class Manifest:
 
     @property
     def player(self) -> PlayMethods:
-        """What plays the episodes."""
+        """Player of the episodes."""
         if not self.replan_every:
             return PlayMethods(self.specs, self.lists_folder)
         return PlayMethods(self.specs, self.lists_folder, self.replan_every, self.latency)

@@ -13,15 +13,13 @@ from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
 import torch
 
-import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.arrays import FloatArray
-from smp_gym.registration import environment_id
 from smp_planner.adaptation import Runs
 from smp_planner.benchmark.metrics import resample, rms_distances
+from smp_planner.experiments.arm_settings import environment
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.inference.smc import SMCSettings, sample_posterior
 from smp_planner.planning.assessment import assess, signatures
@@ -178,11 +176,6 @@ def _part_draws(
     return found.particles, found.log_evidence
 
 
-@lru_cache(maxsize=1)
-def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
-    return gymnasium.make(environment_id(task), difficulty=difficulty)
-
-
 @lru_cache(maxsize=len(METHODS))
 def _policy(name: str, task: str) -> PlannerPolicy:
     method, settings = METHODS[name]
@@ -192,7 +185,7 @@ def _policy(name: str, task: str) -> PlannerPolicy:
 def measure_cell(cell: PosteriorCell) -> list[Row]:
     """Plan a scene with each method and return their rows; no energy where no draw is good."""
     torch.set_num_threads(1)
-    observation, _ = _environment(cell.task, cell.difficulty).reset(seed=cell.seed)
+    observation, _ = environment(cell.task, cell.difficulty).reset(seed=cell.seed)
     planner: Any = _policy("smp", cell.task).planner
     problem = _policy("smp", cell.task).problem(observation)
     settings = planner.plan_settings

@@ -25,7 +25,15 @@ from smp_planner.planners import make_planner
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["COLUMNS", "COMPARED_SETTINGS", "PRIOR_WIDTHS", "Cell", "cells_of", "measure_cell"]
+__all__ = [
+    "COLUMNS",
+    "COMPARED_SETTINGS",
+    "PRIOR_WIDTHS",
+    "Cell",
+    "cells_of",
+    "environment",
+    "measure_cell",
+]
 
 
 def _of(inference: str, iterations: int = 100) -> dict[str, Any]:
@@ -114,7 +122,8 @@ def cells_of(
 
 
 @lru_cache(maxsize=1)
-def _environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
+def environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
+    """Return the environment of a task and a difficulty, made once for scenes in a row."""
     return gymnasium.make(environment_id(task), difficulty=difficulty)
 
 
@@ -138,7 +147,7 @@ def _reference(task: str, prior: str, difficulty: str, seed: int) -> FloatArray:
 
 
 def _problem(policy: PlannerPolicy, task: str, difficulty: str, seed: int) -> Problem:
-    observation, _ = _environment(task, difficulty).reset(seed=seed)
+    observation, _ = environment(task, difficulty).reset(seed=seed)
     return policy.problem(observation)
 
 

@@ -1,4 +1,4 @@
-"""What a robot's joints say about angles: branches of continuous joints, and limits."""
+"""Angles of a robot's joints: branches of continuous joints, and limits."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ import torch
 
 from smp_planner.adaptation import Runs, adaptation
 from smp_planner.inference import SETTINGS, State, SVGDSettings, converged
-from smp_planner.movement_primitives import GaussianBasis, ProMP, smooth_covariance
 
 STEPS = 30
 
@@ -43,18 +42,6 @@ class Verdict:
         self.asked.append(latent.clone())
         count = latent.shape[1]
         return np.arange(count)[None] < self.share * count
-
-
-@pytest.fixture(scope="module")
-def prior():
-    basis = GaussianBasis(9)
-    primitive = ProMP.from_covariance(
-        basis,
-        torch.zeros(18, dtype=torch.float64),
-        smooth_covariance(basis, 2, 0.3, 0.25),
-        torch.ones(2, dtype=torch.float64),
-    )
-    return primitive.condition(0.0, torch.zeros(2, dtype=torch.float64))
 
 
 def adapted(prior, method, good=None, runs=1):

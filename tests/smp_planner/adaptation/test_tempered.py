@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from smp_planner.adaptation import Runs, adaptation
-from smp_planner.movement_primitives import GaussianBasis, ProMP, smooth_covariance
 
 STEPS, PARTICLES = 30, 200
 MIDDLE = STEPS // 2
@@ -34,18 +33,6 @@ class Observed:
 
     def weighted_sum(self, trajectories):
         return self.evaluate(trajectories, 1.0)[0]
-
-
-@pytest.fixture(scope="module")
-def prior():
-    basis = GaussianBasis(9)
-    primitive = ProMP.from_covariance(
-        basis,
-        torch.zeros(18, dtype=torch.float64),
-        smooth_covariance(basis, 2, 0.3, 0.25),
-        torch.ones(2, dtype=torch.float64),
-    )
-    return primitive.condition(0.0, torch.zeros(2, dtype=torch.float64))
 
 
 def adapted(priors, scene, seed=0, draws=4 * PARTICLES, **settings):
