@@ -23,6 +23,7 @@ __all__ = [
     "ANGULAR_SPEED",
     "LINEAR_SPEED",
     "execution_time",
+    "execution_times",
     "joint_action",
     "reference_action",
 ]
@@ -48,9 +49,15 @@ def execution_time(trajectory: FloatArray) -> float:
     Args:
         trajectory: (T, 6) rad at equal steps of phase, which runs evenly.
     """
-    phase = np.linspace(0.0, 1.0, len(trajectory))
-    rate = np.abs(np.gradient(trajectory, phase, axis=0)) / JOINT_VELOCITY
-    return float(rate.max()) / _SPEED
+    return float(execution_times(trajectory[None])[0])
+
+
+def execution_times(trajectories: FloatArray) -> FloatArray:
+    """Return how long each of some trajectories (N, T, 6) is executed, (N,) s: `execution_time`."""
+    phase = np.linspace(0.0, 1.0, trajectories.shape[1])
+    rates = np.abs(np.gradient(trajectories, phase, axis=1)) / JOINT_VELOCITY
+    times: FloatArray = rates.max(axis=(1, 2)) / _SPEED
+    return times
 
 
 def reference_action(

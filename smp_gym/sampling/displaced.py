@@ -2,8 +2,8 @@
 
 Scene and witness are those of a family without displacements. Then shifts are drawn, of single
 obstacles by a few centimetres within half a second, towards where trajectories that were clear of
-everything will pass; those are taken that block most of these trajectories, executed at once. A
-member of the family that stays clear, executed at once or after a wait, is the new witness.
+everything will pass; those are taken that block most of these trajectories. One that stays clear,
+executed at once, is the new witness.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from smp_gym.control import execution_time
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.sampling.bodies import hanging, standing
 from smp_gym.sampling.choice import apart
+from smp_gym.sampling.detours import detour_basis, detours
 from smp_gym.sampling.draws import Draw
+from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.in_time import TICKS, clears_in_time, held_on, ticks_of
 from smp_gym.sampling.moving import (
     Movement,
@@ -27,12 +29,17 @@ from smp_gym.sampling.moving import (
 )
 from smp_gym.sampling.specification import SPECIFICATIONS
 from smp_gym.sampling.transfer import Query
+from smp_gym.sampling.witness import WITNESS_SAMPLES
 from smp_gym.scene import Motion
 
-__all__ = ["SHIFTS", "SHIFT_TIME", "displace", "displaced"]
+__all__ = ["NARROW", "SHIFTS", "SHIFT_TIME", "displace", "displaced"]
 
 SHIFTS = {"easy": (0.03, 0.04), "medium": (0.04, 0.05), "hard": (0.05, 0.06)}
 """m, by how much obstacles are shifted, by difficulty."""
+
+NARROW = "hard"
+"""Difficulty of the scenes whose obstacles are shifted: what leaves more room than the obstacles
+are shifted by is not blocked by them."""
 
 SHIFT_TIME = 0.5
 """s, in which an obstacle is shifted."""
@@ -41,14 +48,16 @@ _MOMENTS = (0.2, 0.6)
 """When a shift begins, as a share of the first witness's duration."""
 
 _CANDIDATES = 200
-_CHOICES = 40
+_CHOICES = 20
 """Numbers of shifts drawn, and of choices for which a witness is looked for."""
 
 _LEAST_BLOCKED = {"easy": 0.2, "medium": 0.3, "hard": 0.4}
-"""Share of the trajectories that were clear of everything, and that the shifts must block."""
+"""Share of the trajectories that kept the clearance, and that the shifts must block."""
 
-_WIDE_DETOURS = 400
-"""Number of wide detours: few of them are clear of all standing obstacles."""
+_BESIDE = 160
+_BESIDE_WIDTH = (0.1, 0.8)
+"""Number of trajectories beside the first witness, itself included, and their distance from it in
+units of a detour: few others are clear, where obstacles enclose it."""
 
 _KEPT = 0.9
 """Share of the clearance of scenes without displacements that the new witness must have."""
@@ -106,13 +115,13 @@ def displace(
         difficulty: says how far obstacles are shifted, see `SHIFTS`.
         rng: source of all randomness.
     """
-    rows, clearance = drawn.rows, _KEPT * SPECIFICATIONS[difficulty].clearance
+    rows, clearance = drawn.rows, _KEPT * SPECIFICATIONS[NARROW].clearance
     still = np.repeat(rows[:, None, 1:4], TICKS, axis=1)
     paths, ticks = held_on(movement.paths), ticks_of(movement.times)
 
-    def clears(rows: FloatArray, tracks: FloatArray) -> BoolArray:
+    def clears(rows: FloatArray, tracks: FloatArray, distance: float = _TOUCHING) -> BoolArray:
         kept: BoolArray = clears_in_time(
-            paths[clear], movement.radius, ticks[clear], 0, rows, tracks, _TOUCHING
+            paths[clear], movement.radius, ticks[clear], 0, rows, tracks, distance
         )
         return kept
 
@@ -131,13 +140,19 @@ def displace(
     which, shifted, begin, tracks = which[kept], shifted[kept], begin[kept], tracks[kept]
     pairs = apart(shifted, shifted) & (which[:, None] != which)
     tracks = np.ascontiguousarray(tracks)
-    blocks = ~clears(rows[which], tracks)
+    # Members too near to an obstacle where it is, and to one that is shifted.
+    close, closed = ~clears(rows, still, clearance), ~clears(rows[which], tracks, clearance)
+    counts, one = close.sum(axis=0), close[which].astype(np.int64)
+    blocks = ~clears(rows[which], tracks, -BLOCKING_DEPTH)[:, counts == 0]
     share = blocks.mean(axis=1)
-    choices: list[tuple[float, tuple[int, ...]]] = [(share[a], (a,)) for a in range(len(which))]
-    choices += [
-        ((blocks[a] | blocks[b]).mean(), (a, b))
-        for a, b in zip(*np.nonzero(np.triu(pairs)), strict=True)
+    a, b = np.nonzero(np.triu(pairs))
+    left = (~closed & (counts == one)).any(axis=1)
+    choices: list[tuple[float, tuple[int, ...]]] = [
+        (share[c], (int(c),)) for c in np.flatnonzero(left)
     ]
+    left = (~closed[a] & ~closed[b] & (counts == one[a] + one[b])).any(axis=1)
+    a, b = a[left], b[left]
+    choices += zip((blocks[a] | blocks[b]).mean(axis=1), zip(a, b, strict=True), strict=True)
     # What blocks all of them would hardly leave a witness: a wait helps little against a shift.
     least = _LEAST_BLOCKED[difficulty]
     choices = [choice for choice in choices if least <= choice[0] < 1.0]
@@ -150,6 +165,7 @@ def displace(
             rows[which[chosen]],
             tracks[chosen],
             clearance,
+            delays=(0.0,),
         )
         if witness is not None:
             motions: list[Motion | None] = [None] * len(rows)
@@ -190,6 +206,8 @@ def displaced(
     """
     if drawn is None or drawn.witness is None:
         return None
-    query = replace(query, transfer=replace(query.transfer, wide=_WIDE_DETOURS))
-    movement = transfer_movement(query, rng, (drawn.witness,))
+    beside = rng.standard_normal((_BESIDE, *detour_basis(WITNESS_SAMPLES).shape[1:], 6))
+    beside *= rng.uniform(*_BESIDE_WIDTH, size=(_BESIDE, 1, 1))
+    beside[0] = 0.0
+    movement = transfer_movement(query, rng, drawn.witness + detours(beside, WITNESS_SAMPLES))
     return displace(movement, drawn, execution_time(drawn.witness), difficulty, rng)

@@ -18,7 +18,7 @@ from smp_gym.sampling.transfer import Query, Transfer, carry
 from smp_gym.sampling.witness import FIXTURE_CLEARANCE, WITNESS_SAMPLES, within_limits
 from smp_gym.scene import goal_boxes
 
-__all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member", "with_neighbours"]
+__all__ = ["BLOCKING_DEPTH", "Family", "draw_family", "member", "members", "with_neighbours"]
 
 
 BLOCKING_DEPTH = 0.015
@@ -205,3 +205,11 @@ def member(transfer: Transfer, family: Family, index: int) -> FloatArray:
     detour = index - 1 - len(carried)
     numbers = family.numbers[detour : detour + 1]
     return carried[family.base[detour]] + detours(numbers, WITNESS_SAMPLES)[0]
+
+
+def members(transfer: Transfer, family: Family) -> FloatArray:
+    """Return all members of a family but the blind ones, (N, W, 6) rad, see `member`."""
+    carried = carry(transfer, family.configuration, WITNESS_SAMPLES)
+    mean = carried.mean(axis=0, keepdims=True)
+    detoured = carried[family.base] + detours(family.numbers, WITNESS_SAMPLES)
+    return np.concatenate([mean, carried, detoured])

@@ -10,14 +10,14 @@ That member, checked densely in time with the wait before it, is the witness.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.arrays import BoolArray, FloatArray
-from smp_gym.control import execution_time
+from smp_gym.control import execution_time, execution_times
 from smp_gym.observation import CONTROL_PERIOD, MAX_EPISODE_STEPS
 from smp_gym.sampling import kernels
 from smp_gym.sampling.bodies import draw_bodies, hanging, standing
@@ -25,7 +25,7 @@ from smp_gym.sampling.choice import widths
 from smp_gym.sampling.conversion import fixture_rows, to_solid_row
 from smp_gym.sampling.detours import resample
 from smp_gym.sampling.draws import Draw
-from smp_gym.sampling.family import BLOCKING_DEPTH, draw_family, member
+from smp_gym.sampling.family import BLOCKING_DEPTH, draw_family, members
 from smp_gym.sampling.in_time import (
     TICKS,
     Timing,
@@ -37,7 +37,7 @@ from smp_gym.sampling.in_time import (
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.obstacles import BASE_DISTANCE, START_CLEARANCE
 from smp_gym.sampling.transfer import Query
-from smp_gym.sampling.witness import is_witness, within_limits
+from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness, within_limits
 from smp_gym.scene import Goal, Motion, goal_boxes
 
 __all__ = [
@@ -79,7 +79,7 @@ which a witness is looked for."""
 _FREE_SHARE = 0.2
 """Share of the proposals that may get by if executed at once."""
 
-_DELAYS = np.arange(0.0, 8.01, 0.5)
+_DELAYS = tuple(0.5 * step for step in range(17))
 """s, waits before the witness."""
 
 _MEMBERS = 12
@@ -93,6 +93,7 @@ _HIGHEST = 1.0
 _MEMBER_SAMPLES = 40
 
 _NO_ROWS = np.empty((0, kernels.OBSTACLE_COLUMNS))
+_NO_TRAJECTORIES = np.empty((0, WITNESS_SAMPLES, 6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,17 @@ class Movement:
     def start(self) -> FloatArray:
         """(1, 6) rad, where all trajectories begin."""
         return self.trajectory(0)[:1]
+
+
+def _at_ticks(knots: FloatArray, interval: float) -> FloatArray:
+    """Return (C, TICKS, 3) m, where motions with knots (C, K, 3) m so many seconds apart are."""
+    basis = _hermite(knots.shape[1], interval)
+    # Each position depends on the four knots around it alone.
+    first = np.minimum(np.argmax(basis != 0.0, axis=1), knots.shape[1] - 4)
+    near = first[:, None] + np.arange(4)
+    weights = np.take_along_axis(basis, near, axis=1)
+    tracks = sum(weights[:, k, None] * knots[:, near[:, k]] for k in range(4))
+    return np.asarray(tracks)
 
 
 def _hermite(knots: int, interval: float) -> FloatArray:
@@ -276,24 +288,29 @@ def _choices(movement: Movement, rows: FloatArray, tracks: FloatArray) -> Iterat
 
 
 def witness_in_time(
-    movement: Movement, rows: FloatArray, tracks: FloatArray, clearance: float
+    movement: Movement,
+    rows: FloatArray,
+    tracks: FloatArray,
+    clearance: float,
+    delays: Sequence[float] = _DELAYS,
 ) -> FloatArray | None:
     """Return a trajectory (200, 6) rad that gets by in time, the wait before it included.
 
     Args:
-        movement: whose members are tried, at once and after longer and longer waits.
+        movement: whose members are tried.
         rows: (M, 9) rows of moving obstacles.
         tracks: (M, K, 3) m.
         clearance: m.
+        delays: s, waits before the trajectory, tried one after the other.
     """
     body, radius = movement.body, movement.body.spheres.radius
     able = np.flatnonzero(movement.able)
     paths, ticks = held_on(movement.paths[able]), ticks_of(movement.times[able])
-    for delay in _DELAYS:
-        offset = round(float(delay) / CONTROL_PERIOD)
+    for delay in delays:
+        offset = round(delay / CONTROL_PERIOD)
         clear = clears_in_time(paths, movement.radius, ticks, offset, rows, tracks, clearance)
         for index in able[clear.all(axis=0)][:_MEMBERS]:
-            found = delayed(movement.trajectory(int(index)), float(delay))
+            found = delayed(movement.trajectory(int(index)), delay)
             if not (within_limits(found) and movement.holds(found)):
                 continue
             times = movement.timing(found).times(len(found))
@@ -330,7 +347,7 @@ def cross(
     times = movement.times[which, sample]
     knots, interval = _draw_knots(rows[:, 1:4], times, level, speed, rng)
     knots[level, :, 2] = rows[level, 3, None]
-    tracks = np.einsum("tk,ckd->ctd", _hermite(knots.shape[1], interval), knots)
+    tracks = _at_ticks(knots, interval)
     even = _even(tracks, speed)
     kept = even.copy()
     kept[even] = stays_off(movement, rows[even], tracks[even])
@@ -355,7 +372,7 @@ def cross(
 def transfer_movement(
     query: Query,
     rng: np.random.Generator,
-    others: tuple[FloatArray, ...] = (),
+    others: FloatArray = _NO_TRAJECTORIES,
     obstacles: FloatArray = _NO_ROWS,
 ) -> Movement:
     """Return the movement of a query: a family of trajectories of the transfer, executed evenly.
@@ -363,7 +380,7 @@ def transfer_movement(
     Args:
         query: which transfer to which goal.
         rng: source of all randomness.
-        others: further trajectories, (W, 6) rad, that may serve as witness; they come last.
+        others: (K, W, 6) rad, further trajectories that may serve as witness; they come last.
         obstacles: (K, 9) rows that every witness keeps clear of.
 
     Raises:
@@ -380,25 +397,20 @@ def transfer_movement(
     def timing(trajectory: FloatArray) -> Timing:
         return Timing(execution_time(trajectory))
 
-    members = [member(transfer, family, index) for index in range(len(family.paths))]
-    members += others
-    besides = (
-        resample(np.array(others), _MEMBER_SAMPLES) if others else np.empty((0, _MEMBER_SAMPLES, 6))
-    )
-    paths = np.concatenate([family.paths, transfer.paths(besides, transfer.swept)])
+    trajectories = np.concatenate([members(transfer, family), others])
+    paths = transfer.paths(resample(others, _MEMBER_SAMPLES), transfer.swept)
     more = np.ones(len(others), np.bool_)
-    durations = [execution_time(trajectory) for trajectory in members]
-    times = np.array([Timing(duration).times(_MEMBER_SAMPLES) for duration in durations])
+    durations = execution_times(trajectories)
     return Movement(
         body=transfer,
         goals=query.goals,
-        paths=paths,
+        paths=np.concatenate([family.paths, paths]),
         radius=family.radius,
         hand=np.flatnonzero(swept >= 5),
-        times=times,
+        times=durations[:, None] * np.linspace(0.0, 1.0, _MEMBER_SAMPLES),
         proposed=np.concatenate([proposed, ~more]),
         able=np.concatenate([family.able, more]),
-        trajectory=lambda index: members[index],
+        trajectory=lambda index: trajectories[index],
         timing=timing,
         holds=lambda trajectory: is_witness(transfer, trajectory, bodies, obstacles, clearance),
     )

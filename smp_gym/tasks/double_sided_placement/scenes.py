@@ -13,7 +13,7 @@ from smp_gym.robot import kinematics
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.clutter import CLUTTER, clutter
 from smp_gym.sampling.conversion import to_row
-from smp_gym.sampling.displaced import displaced
+from smp_gym.sampling.displaced import NARROW, displaced
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.furniture import FURNITURE
@@ -200,7 +200,7 @@ def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
 def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw obstacles on one side that are shifted in mid-episode; the other is closed off."""
     first, second = _draw_queries(rng)
-    one = _specification(difficulty, closed=True)
+    one = _specification(NARROW, closed=True)
     drawn = block_around_witness((first,), one, rng)
     if drawn is None or drawn.witness is None:
         return None

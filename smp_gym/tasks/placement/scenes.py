@@ -9,7 +9,7 @@ import numpy as np
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling.blocking import block, block_around_witness
 from smp_gym.sampling.clutter import CLUTTER, clutter
-from smp_gym.sampling.displaced import displaced
+from smp_gym.sampling.displaced import NARROW, displaced
 from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.furnished import furnish
 from smp_gym.sampling.furniture import FURNITURE
@@ -75,7 +75,7 @@ def _move(difficulty: str, rng: np.random.Generator) -> Draw | None:
 
 def _displace(difficulty: str, rng: np.random.Generator) -> Draw | None:
     query = _draw_query(rng)
-    drawn = block_around_witness((query,), SPECIFICATIONS[difficulty], rng)
+    drawn = block_around_witness((query,), SPECIFICATIONS[NARROW], rng)
     return displaced(query, drawn, difficulty, rng)
 
 
