@@ -19,6 +19,7 @@ from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import LIMIT_TOLERANCE
 from smp_planner.library.covering import MOST_SPHERES, cover_link
+from smp_planner.library.timed_trajectory import TimedTrajectory, timed
 from smp_planner.library.urdf_reading import Description, Joint, Link, read_description
 
 __all__ = ["Robot"]
@@ -112,6 +113,18 @@ class Robot:
     def tool_positions(self, configurations: FloatArray) -> FloatArray:
         """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
         return self.model.carried_points(configurations, np.zeros(3))[0]
+
+    def timed(
+        self,
+        path: FloatArray,
+        acceleration: Any,
+        *,
+        rate: float = 100.0,
+        speed: float = 1.0,
+        duration: float | None = None,
+    ) -> TimedTrajectory:
+        """Return the fastest motion along a path; see `timed_trajectory.timed`."""
+        return timed(self, path, acceleration, rate=rate, speed=speed, duration=duration)
 
 
 def _named(name: str, given: Any, joints: Mapping[str, Joint]) -> dict[str, Any]:

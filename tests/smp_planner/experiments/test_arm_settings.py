@@ -30,8 +30,7 @@ def test_a_row_holds_what_the_table_shows(rows):
     ]
 
 
-def test_settings_and_priors_differ_in_what_they_say(rows):
-    assert rows[0]["wasserstein"] != rows[1]["wasserstein"]
+def test_priors_differ_in_the_added_deviation_and_try_once():
     narrow = arm_settings._policy("Placement", "narrow", "smp", "default").planner.settings
     usual = arm_settings._policy("Placement", "usual", "smp", "default").planner.settings
     assert narrow["smooth_std"] == 0.5 * usual["smooth_std"]
