@@ -80,11 +80,11 @@ def make(id: str, **arguments: Any) -> ManipulationEnv:
     return env
 
 
-def check_interfaces(id: str) -> None:
+def check_interfaces(id: str, difficulty: str = "medium") -> None:
     """Let Gymnasium and stable-baselines3 check an environment; a warning is an error."""
     from stable_baselines3.common.env_checker import check_env as stable_baselines3_check_env
 
-    env = make(id)
+    env = make(id, difficulty=difficulty)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # The checker makes the environment again in every render mode but "human".

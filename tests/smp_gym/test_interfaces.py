@@ -32,7 +32,7 @@ def moves(env_id):
 @cache
 def alone(env_id, which):
     """Return the observations and rewards of one of the two environments, played by itself."""
-    env = gymnasium.make(env_id, difficulty="easy")
+    env = gymnasium.make(env_id, difficulty="hard")
     observations, rewards = [env.reset(seed=SEEDS[which])[0]], []
     for action in moves(env_id)[:, which]:
         observation, reward, terminated, truncated, _ = env.step(action)
@@ -61,7 +61,7 @@ def assert_as_alone(env_id, batches, rewards):
     ("env_id", "mode"), [(i, "sync") for i in IDS] + [(i, "async") for i in IN_PROCESSES]
 )
 def test_gymnasium_vectorises(env_id, mode):
-    env = gymnasium.make_vec(env_id, num_envs=2, vectorization_mode=mode, difficulty="easy")
+    env = gymnasium.make_vec(env_id, num_envs=2, vectorization_mode=mode, difficulty="hard")
     assert env.metadata["autoreset_mode"] in AutoresetMode
     observation, info = env.reset(seed=SEEDS)
     batches, rewards = [{k: v.copy() for k, v in observation.items()}], []
@@ -81,7 +81,7 @@ def test_gymnasium_vectorises(env_id, mode):
 def test_stable_baselines3_vectorises(env_id, kind):
     # The module's name lets a new process, too, find the id.
     name = f"smp_gym:{env_id}"
-    env = make_vec_env(name, 2, env_kwargs={"difficulty": "easy"}, vec_env_cls=kind)
+    env = make_vec_env(name, 2, env_kwargs={"difficulty": "hard"}, vec_env_cls=kind)
     # The second environment is seeded with the next number.
     env.seed(SEEDS[0])
     batches, rewards = [env.reset()], []
