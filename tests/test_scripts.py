@@ -38,7 +38,7 @@ EXAMPLES = [
         "table_two",
         "train_agent",
         "train_shape_maps",
-        "tune_baselines",
+        "tune_methods",
     )
     for command in WITH_COMMANDS.get(name, (None,))
 ]

@@ -196,6 +196,7 @@ def pooled(
     *,
     jobs: int,
     chunk: int = 1,
+    on_result: Callable[[Result], None] | None = None,
 ) -> list[Result]:
     """Return a function's results, in order, from worker processes, under a progress bar.
 
@@ -206,6 +207,7 @@ def pooled(
         console: to show it on.
         jobs: worker processes.
         chunk: items that follow each other in one worker.
+        on_result: called with each result in turn, as soon as it and those before it are there.
     """
     results = []
     with (
@@ -214,5 +216,7 @@ def pooled(
     ):
         for result in pool.map(function, items, chunksize=chunk):
             results.append(result)
+            if on_result is not None:
+                on_result(result)
             progress.advance(bar)
     return results

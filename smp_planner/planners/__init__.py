@@ -10,10 +10,10 @@ prior wherever it is not needed, have not.
 
 Where only the mean of a Gaussian gives way, draws around it that keep the prior's spread need room:
 on every task (`"*"`), `prompt_o` has a larger weight of obstacles, and `promp_diff` a larger margin
-and a wider edge of the map. The other settings of the baselines are the best of those that
-`scripts/tune_baselines.py` tries: of settings within two points of the highest share of particles
-that succeed, the one nearest to the defaults, since one farther off gives up similarity for
-nothing.
+and a wider edge of the map. The other settings of the baselines were the best of a few on the
+scenes of before the tasks were made anew: of settings within two points of the highest share of
+particles that succeed, the one nearest to the defaults.
+`scripts/tune_methods.py` searches the settings of all methods with one budget.
 """
 
 from __future__ import annotations

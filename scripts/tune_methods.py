@@ -1,0 +1,58 @@
+"""Search the settings of the planning methods on tuning seeds, each with the same budget."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.options import (
+    Jobs,
+    Names,
+    chosen_names,
+    one_of,
+    run_command,
+    tuning_seeds,
+)
+from smp_planner.benchmark.results_folder import ResultsError
+from smp_planner.experiments.kept_results import kept_results
+from smp_planner.experiments.method_tuning import SPACES, cells_of, trial, trials_table
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="JSON file of all trials; the command resumes.")] = Path(
+        "results/tuning/trials.json"
+    ),
+    tasks: Names = "",
+    methods: Names = "",
+    candidates: Annotated[int, typer.Option(min=1, help="Of each method, on each task.")] = 30,
+    difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "medium",
+    scenes: Annotated[int, typer.Option(min=1, help="Of each task.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 30_000,
+    jobs: Jobs = 1,
+) -> None:
+    """Try all candidates and print the best of each task and method.
+
+    Each trial is kept as it ends: the same command continues, also with more candidates or methods.
+
+    Example: python scripts/tune_methods.py --tasks Placement --methods smp,cpromp --jobs 4
+    """
+    one_of(difficulty, DIFFICULTIES, "--difficulty")
+    seeds = tuning_seeds(seed, scenes)
+    chosen_tasks = chosen_names(tasks, TASKS, "--tasks")
+    chosen = chosen_names(methods, tuple(SPACES), "--methods")
+    cells, console = cells_of(chosen_tasks, chosen, candidates, difficulty, seeds), Console()
+    terms = {"difficulty": difficulty, "seeds": [seeds[0], seeds[-1]]}
+    by_name = {cell.name: cell for cell in cells}
+    try:
+        found = kept_results(out, terms, trial, by_name, "candidates", console, jobs)
+    except ResultsError as error:
+        raise typer.BadParameter(str(error), param_hint="--out") from error
+    console.print(trials_table(cells, list(found.values())))
+
+
+if __name__ == "__main__":
+    run_command(main)

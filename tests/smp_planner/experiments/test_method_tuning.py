@@ -1,0 +1,118 @@
+"""The search of settings: what is tried, how it is judged and ranked, and that it is continued."""
+
+import json
+import re
+
+import pytest
+from rich.console import Console
+
+from smp_planner.benchmark.results_folder import ResultsError
+from smp_planner.experiments.kept_results import kept_results
+from smp_planner.experiments.method_tuning import (
+    SPACES,
+    Cell,
+    candidate,
+    cells_of,
+    ranked,
+    trial,
+    trials_table,
+)
+from smp_planner.planners import make_planner, task_settings
+
+TERMS = {"difficulty": "easy", "seeds": [0, 3]}
+
+
+@pytest.mark.parametrize("task", ["Placement", "DrawS"])
+@pytest.mark.parametrize("method", SPACES)
+def test_every_value_is_one_that_its_method_takes(task, method):
+    seen = [candidate(task, method, number) for number in range(30)]
+    assert seen[0] == {}
+    for settings in seen[1:]:
+        found = json.loads(json.dumps(make_planner(method, task, settings=settings).settings))
+        assert found | json.loads(json.dumps(settings)) == found
+    values = {json.dumps(settings[name]) for settings in seen[1:] for name in list(settings)[:1]}
+    assert len(values) > 2
+
+
+def test_all_start_from_one_prior_with_as_many_tries():
+    for method in SPACES:
+        if method == "rrt_connect":
+            continue
+        assert not {"smooth_std", "retries"} & set(candidate("PushLiftBox", method, 1))
+        assert task_settings(method, "PushLiftBox")["smooth_std"] == 0.6
+
+
+def test_a_budget_is_the_same_for_all_and_more_keeps_the_first():
+    few = cells_of(["DrawS"], list(SPACES), 3, "easy", range(2))
+    more = cells_of(["DrawS"], list(SPACES), 5, "easy", range(2))
+    assert len(few) == 3 * len(SPACES)
+    assert set(few) < set(more)
+    assert len({cell.name for cell in more}) == len(more)
+
+
+def test_a_trial_counts_good_particles_by_scene():
+    found = trial(Cell("Placement", "promp_diff", 1, "none", range(2)))
+    assert found["settings"] == candidate("Placement", "promp_diff", 1)
+    assert len(found["good"]) == len(found["free"]) == len(found["seconds"]) == 2
+    assert all(0.0 < good <= free for good, free in zip(found["good"], found["free"], strict=True))
+    assert min(found["seconds"]) > 0.0
+
+
+def _found(good, **settings):
+    return {"settings": settings, "good": good, "free": good, "seconds": [0.1] * len(good)}
+
+
+def test_scenes_solved_come_before_shares():
+    cells = cells_of(["Placement"], ["cpromp"], 3, "easy", range(2))
+    trials = [_found([0.9, 0.0]), _found([0.1, 0.2], margin=0.02), _found([0.1, 0.1], margin=0.0)]
+    (members,) = ranked(cells, trials).values()
+    assert [cell.number for cell, _ in members] == [1, 2, 0]
+    console = Console(width=140)
+    with console.capture() as shown:
+        console.print(trials_table(cells, trials, best=1))
+    text = shown.get()
+    assert re.search(r"1 of 3.*margin 0.02.*2 of 2.*15.0%", text)
+    assert re.search(r"3 of 3.*as now.*1 of 2.*45.0%", text)
+    assert "margin 0.0 " not in text
+
+
+def _square(number: int) -> int:
+    if number < 0:
+        raise ValueError("no number below 0")
+    return number**2
+
+
+def _kept(path, numbers, terms=TERMS):
+    items = {str(number): number for number in numbers}
+    return kept_results(path, terms, _square, items, "squares", Console(quiet=True), 1)
+
+
+def test_results_are_kept_as_they_come_and_continued(tmp_path):
+    path = tmp_path / "new" / "squares.json"
+    with pytest.raises(ValueError, match="no number below 0"):
+        _kept(path, [3, 4, -1, 5])
+    assert json.loads(path.read_text())["results"] == {"3": 9, "4": 16}
+    # Had 4 been computed again, it would be 16.
+    path.write_text(path.read_text().replace("16", "17"))
+    assert _kept(path, [5, 4]) == {"5": 25, "4": 17}
+    assert list(_kept(path, [4, 5])) == ["4", "5"]  # in the order asked for, none computed
+    assert json.loads(path.read_text())["results"] == {"3": 9, "4": 17, "5": 25}
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", '{"results": {}}', '{"terms": {}, "results": [1]}', "{" * 5000]
+)
+def test_damaged_files_are_refused(tmp_path, content):
+    path = tmp_path / "squares.json"
+    path.write_text(content)
+    with pytest.raises(ResultsError, match="is not a file of kept results"):
+        _kept(path, [1])
+    assert path.read_text() == content
+
+
+def test_results_of_other_terms_are_left_as_they_are(tmp_path):
+    path = tmp_path / "squares.json"
+    path.write_text(json.dumps({"terms": TERMS, "results": {"1": 1}}))
+    with pytest.raises(ResultsError, match=r"of other terms .*'easy'.*there.*'hard'.*now"):
+        _kept(path, [1], {**TERMS, "difficulty": "hard"})
+    assert _kept(path, [1]) == {"1": 1}
