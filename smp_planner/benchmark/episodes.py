@@ -20,6 +20,7 @@ from smp_gym.registration import environment_id
 from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
 from smp_gym.suites import Cell
+from smp_planner.benchmark.row_table import compressed
 from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import Execution, PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
@@ -129,7 +130,8 @@ class EpisodeRow:
         replanning_time: mean time of these, s.
         planning_time: time of the whole plan, s.
         episode_time: time of the episode from reset to its end, planning included, s.
-        stage_times: time of each stage of the plan by name, s; not in the CSV.
+        stage_times: time of each stage of the plan by name, s; not in the CSV, nor is the next.
+        scene: that was played, as JSON.
     """
 
     task: str
@@ -165,6 +167,7 @@ class EpisodeRow:
     planning_time: float = 0.0
     episode_time: float = 0.0
     stage_times: Mapping[str, float] = field(default_factory=dict)
+    scene: str = compressed()
 
     @property
     def key(self) -> EpisodeKey:
@@ -308,6 +311,7 @@ def play_episode(
         sensing=key.sensing,
         noise=key.noise,
         episode_time=elapsed,
+        scene=env.get_wrapper_attr("scene").to_json(),
         **{**_of_plan(plan), **_of_replanning(execution, policy)},
     )
     return PlayedEpisode(row, decode(played.first, key.task).scene, plan, carried.values)

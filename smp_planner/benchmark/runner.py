@@ -99,7 +99,7 @@ def play_all(
 
 
 def play_missing(
-    store: ResultsFolder[Any],
+    store: ResultsFolder[Any, Any],
     keys: Sequence[Key],
     player: Callable[[Key], Any],
     *,
@@ -172,7 +172,8 @@ def run(
         on_progress: called with the number of episodes that are done and of all.
 
     Raises:
-        ResultsError: the folder is of other settings, damaged or in use.
+        ResultsError: the folder is of other settings or damaged.
+        OSError: it is in use, or cannot be written to.
         WorkerDiedError: a worker process was killed.
         EpisodeFailedError: an episode raised an exception.
         ValueError: `jobs` is below 1.

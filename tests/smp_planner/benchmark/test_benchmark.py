@@ -26,7 +26,7 @@ from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest, make_manifest, read_results
-from smp_planner.benchmark.results_folder import ResultsError, row_line
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import (
     CSV_COLUMNS,
     mean_interval,
