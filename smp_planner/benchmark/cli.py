@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from smp_planner.benchmark.folder_commands import export, import_results
 from smp_planner.benchmark.options import (
     CommandLine,
     Interrupted,
@@ -214,7 +215,8 @@ def run(
 ) -> None:
     """Play episodes and write table, figure and video.
 
-    Writes into the folder [bold]--out[/bold]: [cyan]episodes.csv[/cyan] (a row per episode),
+    Writes into the folder [bold]--out[/bold]: [cyan]results.sqlite[/cyan] (all of the run: a row
+    per episode, its scene, settings and versions), and from it [cyan]episodes.csv[/cyan],
     [cyan]summary.json[/cyan] (rates with Wilson and means with bootstrap intervals),
     [cyan]scene_CELL_METHOD.png[/cyan] and [cyan]episode_CELL_METHOD.mp4[/cyan].
 
@@ -399,6 +401,10 @@ def show(
     total = len(manifest.episode_keys())
     if len(rows) < total:
         console.print(f"unfinished: {len(rows)} of {total} episodes")
+
+
+app.command()(export)
+app.command("import")(import_results)
 
 
 @app.command()

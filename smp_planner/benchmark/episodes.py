@@ -26,6 +26,7 @@ from smp_planner.policy.planner_policy import Execution, PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = [
+    "TIMES",
     "WARM_UP_SEED",
     "EpisodeKey",
     "EpisodePlayer",
@@ -35,6 +36,9 @@ __all__ = [
     "environment_id",
     "play_episode",
 ]
+
+TIMES = ("replanning_time", "planning_time", "episode_time", "stage_times")
+"""Fields of a row that differ from run to run."""
 
 WARM_UP_SEED = 0
 """Tuning seed whose episode a worker plans once, unrecorded, so that no row times a compilation."""

@@ -1,9 +1,9 @@
 """A folder of results: one SQLite file with what was requested and a row for each piece of work.
 
-``results.sqlite`` is all that there is to a run: its manifest says what was requested and with which
-versions, and each row is on disk once its piece of work is done. While a run is writing, what is new
-may stand in a write-ahead log beside it (``results.sqlite-wal``), which belongs to it; a run that
-ends takes it back, and after a kill whoever opens the file next does.
+``results.sqlite`` is all that there is to a run: its manifest says what was requested and with
+which versions, and each row is on disk once its piece of work is done. While a run is writing, what
+is new may stand in a write-ahead log beside it (``results.sqlite-wal``), which belongs to it; a run
+that ends takes it back, and after a kill whoever opens the file next does.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ def read_folder(folder: Path, kind: ResultsKind[Parsed, Row]) -> tuple[Parsed, l
     path = folder / RESULTS
     if not path.is_file():
         raise ResultsError(
-            _of_old_format(folder) or f"{str(folder)!r} holds no results: there is no {RESULTS} in it"
+            _of_old_format(folder)
+            or f"{str(folder)!r} holds no results: there is no {RESULTS} in it"
         )
     with _naming(path), _opened(path, "rw") as database, _transaction(database, "DEFERRED"):
         if _is_empty(database):
@@ -318,7 +319,7 @@ class ResultsFolder(Generic[Parsed, Row]):
 
     def _found(self) -> list[tuple[int, ...]]:
         """Return what tells the files of this run from others in their place."""
-        found = []
+        found: list[tuple[int, ...]] = []
         for suffix in ("", "-wal"):
             with suppress(FileNotFoundError, NotADirectoryError):
                 status = os.stat(f"{self._path}{suffix}")

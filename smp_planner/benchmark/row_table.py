@@ -13,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-__all__ = ["KeyedRow", "RowTable", "checked", "compressed", "row_json"]
+__all__ = ["KeyedRow", "RowTable", "checked", "compressed"]
 
 _COMPRESSED = "compressed"
 _TEXTS = "texts"
@@ -61,9 +61,9 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
-def row_json(row: Any) -> str:
-    """Return a row as JSON; values that are not finite are a ValueError."""
-    return json.dumps(asdict(row), allow_nan=False)
+def _json(value: Any) -> str:
+    """Return a value as JSON, dataclasses as objects; what is not finite is a ValueError."""
+    return json.dumps(value, allow_nan=False, default=asdict)
 
 
 class RowTable(Generic[Row]):
@@ -99,8 +99,12 @@ class RowTable(Generic[Row]):
             for name, sql in self._sql.items()
         ]
         key = ", ".join(f'"{name}"' for name in self._key)
-        connection.execute(f'CREATE TABLE "{self._name}" ({", ".join(columns)}, PRIMARY KEY ({key}))')
-        connection.execute(f"CREATE TABLE {_TEXTS} (digest TEXT PRIMARY KEY, content BLOB NOT NULL)")
+        connection.execute(
+            f'CREATE TABLE "{self._name}" ({", ".join(columns)}, PRIMARY KEY ({key}))'
+        )
+        connection.execute(
+            f"CREATE TABLE {_TEXTS} (digest TEXT PRIMARY KEY, content BLOB NOT NULL)"
+        )
 
     def check(self, row: Row) -> Row:
         """Return a row as it will be read again: whole numbers are floats where the field is one.
@@ -108,19 +112,18 @@ class RowTable(Generic[Row]):
         Raises:
             ValueError: values have other types than the fields, or are not finite.
         """
-        valid: Row = checked(self._kind, row_json(row))
+        valid: Row = checked(self._kind, _json(row))
         return valid
 
     def insert(self, connection: sqlite3.Connection, row: Row) -> None:
         """Add a row that `check` has given, within the caller's transaction."""
-        content = asdict(row)  # type: ignore[call-overload]
         for name in self._compressed:
-            if text := content[name]:
+            if text := getattr(row, name):
                 packed = zlib.compress(text.encode("utf-8"), 9)
                 connection.execute(
                     f"INSERT OR IGNORE INTO {_TEXTS} VALUES (?, ?)", (_digest(text), packed)
                 )
-        stored = self._stored(content)
+        stored = self._stored(row)
         names = ", ".join(f'"{name}"' for name in stored)
         marks = ", ".join("?" * len(stored))
         connection.execute(
@@ -153,14 +156,15 @@ class RowTable(Generic[Row]):
             except (ValueError, TypeError, RecursionError) as error:
                 raise ValueError(f"row {number} of the table {self._name!r}: {error}") from error
 
-    def _stored(self, content: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of the columns for those of the fields."""
+    def _stored(self, row: Row) -> dict[str, Any]:
+        """Return the values of the columns for a row."""
         stored = {}
-        for name, value in content.items():
+        for name, sql in self._sql.items():
+            value = getattr(row, name)
             if name in self._compressed:
                 value = _digest(value) if value else ""
-            elif self._sql[name] is None and value is not None:
-                value = json.dumps(value, allow_nan=False)
+            elif sql is None and value is not None:
+                value = _json(value)
             stored[name] = value
         return stored
 
@@ -177,8 +181,8 @@ class RowTable(Generic[Row]):
             elif self._sql[name] is None and value is not None:
                 value = json.loads(value)
             content[name] = value
-        row: Row = checked(self._kind, json.dumps(content, allow_nan=False))
-        again = self._stored(asdict(row))  # type: ignore[call-overload]
+        row: Row = checked(self._kind, _json(content))
+        again = self._stored(row)
         for name, value in stored.items():
             if again[name] != value:
                 raise ValueError(f"{name}: is kept as {again[name]!r:.60}, got {value!r:.60}")
@@ -187,7 +191,9 @@ class RowTable(Generic[Row]):
 
 def _parts(hint: Any) -> tuple[Any, ...]:
     """Return the types of a union, but for None; a type alone."""
-    parts = getattr(hint, "__args__", ()) if type(None) in getattr(hint, "__args__", ()) else (hint,)
+    parts = (
+        getattr(hint, "__args__", ()) if type(None) in getattr(hint, "__args__", ()) else (hint,)
+    )
     return tuple(part for part in parts if part is not type(None))
 
 
