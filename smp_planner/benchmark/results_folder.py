@@ -255,7 +255,7 @@ class ResultsFolder(Generic[Parsed, Row]):
                 self._database.execute("PRAGMA synchronous=FULL")
                 with _transaction(self._database, "IMMEDIATE"):
                     self._adopt(here, restart)
-            self.rows = _rows(self._database, self._path, kind.table, self._belongs)
+                self.rows = _rows(self._database, self._path, kind.table, self._belongs)
             self._keys = {row.key for row in self.rows}
             self._traces = self._found()
             self._opened = opened.pop_all()
