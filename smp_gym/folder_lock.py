@@ -18,7 +18,7 @@ class FolderInUseError(BlockingIOError):
 
 
 class FolderLock:
-    """The right to write to a folder, until it is closed or the process ends in any manner.
+    """The right to write to a folder, until it is closed, forgotten, or the process ends anyhow.
 
     Args:
         folder: must exist.
@@ -30,35 +30,39 @@ class FolderLock:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / _NAME
-        while True:
-            self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+        self._handle: int | None = None
+        while self._handle is None:
+            handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
-                fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                # Whoever had it before may have removed the file in between.
+                if self._is(handle):
+                    self._handle = handle
             except BlockingIOError:
-                os.close(self._handle)
                 raise FolderInUseError(
                     errno.EWOULDBLOCK, "another process is writing to the folder", str(folder)
                 ) from None
-            # Whoever had it before may have removed the file in between.
-            if self._in_place():
-                return
-            os.close(self._handle)
+            finally:
+                if self._handle is None:
+                    os.close(handle)
 
-    def _in_place(self) -> bool:
-        """Return whether the locked file is the one that others would lock."""
+    def _is(self, handle: int) -> bool:
+        """Return whether an open file is the one that others would lock."""
         try:
-            return os.path.samestat(os.fstat(self._handle), os.stat(self._path))
-        except FileNotFoundError:
+            return os.path.samestat(os.fstat(handle), os.stat(self._path))
+        except (FileNotFoundError, NotADirectoryError):
             return False
 
     def close(self) -> None:
         """Let others have the folder."""
-        if self._handle < 0:
-            return
-        if self._in_place():
-            self._path.unlink(missing_ok=True)
-        os.close(self._handle)
-        self._handle = -1
+        if self._handle is not None:
+            if self._is(self._handle):
+                self._path.unlink(missing_ok=True)
+            os.close(self._handle)
+            self._handle = None
+
+    def __del__(self) -> None:
+        self.close()
 
     def __enter__(self) -> FolderLock:
         return self
