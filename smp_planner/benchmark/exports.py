@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,11 @@ from smp_planner.benchmark.episodes import (
     environment_id,
     play_episode,
 )
-from smp_planner.benchmark.manifest import Manifest
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import write_csv
-from smp_planner.benchmark.worker_pool import workers
 from smp_planner.occupancy.archive import write_archive
 
-__all__ = ["export_particles", "write_csv", "write_parquet"]
+__all__ = ["export_episode", "write_csv", "write_parquet"]
 
 _OF_PARTICLES = (
     "trajectories",
@@ -77,46 +75,25 @@ def write_parquet(path: Path, rows: Sequence[EpisodeRow]) -> None:
         parquet.write_table(pyarrow.table(columns), aside)
 
 
-def export_particles(
-    manifest: Manifest,
-    rows: Sequence[EpisodeRow],
-    folder: Path,
-    *,
-    jobs: int = 1,
-    on_progress: Callable[[int], None] = lambda done: None,
-) -> list[Path]:
-    """Play episodes again, and write the particle set and the executed path of each.
+def export_episode(player: PlayMethods, folder: Path, row: EpisodeRow) -> Path:
+    """Play an episode again, and write its particle set and the executed path.
 
-    A file ``CELL_METHOD_SEED.npz`` (of a frozen list ``CELL_METHOD_HALF_SEED.npz``) has the arrays
-    of `smp_planner.planning.plan.Plan` by their names, each cost as ``cost_NAME``, and ``chosen``;
-    of the execution ``configurations`` (steps + 1, 6), rad, ``end_effector_path`` and
+    The file ``CELL_METHOD_SEED.npz`` (of a frozen list ``CELL_METHOD_HALF_SEED.npz``) has the
+    arrays of `smp_planner.planning.plan.Plan` by their names, each cost as ``cost_NAME``, and
+    ``chosen``; of the execution ``configurations`` (steps + 1, 6), rad, ``end_effector_path`` and
     ``object_path`` (steps + 1, 3), m; as JSON the row, ``header``, and the ``scene``.
 
     Args:
-        manifest: of the run.
-        rows: of the episodes.
-        folder: of the files; made if there is none.
-        jobs: number of worker processes.
-        on_progress: called with the number of episodes that are done.
+        player: of the run's methods.
+        folder: of the file; must exist.
+        row: of the episode.
 
     Returns:
-        The files that were written.
+        The file that was written.
 
     Raises:
-        ResultsError: an episode did not go as its row says: code or packages are others now.
+        ResultsError: the episode did not go as its row says: code or packages are others now.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    with workers(max(1, min(jobs, len(rows)))) as pool:
-        futures = [pool.submit(_export, manifest.player, row, folder) for row in rows]
-        for future in futures:
-            written.append(future.result())
-            on_progress(len(written))
-    return written
-
-
-def _export(player: PlayMethods, row: EpisodeRow, folder: Path) -> Path:
-    """Play one episode again and write its file."""
     key = row.key
     env = gym.make(environment_id(key.task), **key.cell.make_arguments())
     arm, hand = FieldRecorder("configuration"), FieldRecorder("end_effector_position")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from smp_planner.benchmark.options import Names, chosen_names, one_of, progress_bar, split_names
+from smp_planner.benchmark.options import Names, chosen_names, one_of, pooled, split_names
 
 if TYPE_CHECKING:
     from smp_planner.benchmark.episodes import EpisodeRow
@@ -47,7 +48,7 @@ def export(
 
     Example: [green]smp-bench export results/tight --format npz --methods smp --seeds 3,7[/green]
     """
-    from smp_planner.benchmark.exports import export_particles, write_csv, write_parquet
+    from smp_planner.benchmark.exports import export_episode, write_csv, write_parquet
     from smp_planner.benchmark.manifest import read_results
 
     one_of(format, _FORMATS, "--format")
@@ -56,14 +57,9 @@ def export(
     path = out or folder / ("particles" if format == "npz" else f"episodes.{format}")
     console = Console(highlight=False)
     if format == "npz":
-        with progress_bar("episodes", len(chosen), Console(stderr=True)) as (progress, bar):
-            export_particles(
-                manifest,
-                chosen,
-                path,
-                jobs=jobs,
-                on_progress=lambda done: progress.update(bar, completed=done),
-            )
+        path.mkdir(parents=True, exist_ok=True)
+        write = partial(export_episode, manifest.player, path)
+        pooled(write, chosen, "episodes", Console(stderr=True), jobs=jobs)
     elif format == "csv":
         write_csv(path, chosen)
     else:
