@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
@@ -18,6 +18,7 @@ from smp_planner.benchmark.folder_commands import export, import_results
 from smp_planner.benchmark.options import (
     CommandLine,
     Interrupted,
+    one_of,
     print_error,
     progress_bar,
     split_names,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from smp_gym.suites import Cell
     from smp_planner.benchmark.episodes import EpisodeRow
     from smp_planner.benchmark.manifest import Manifest
+    from smp_planner.benchmark.worker_pool import Backend
 
 __all__ = ["app"]
 
@@ -192,6 +194,13 @@ def run(
         int | None,
         typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
     ] = None,
+    backend: Annotated[
+        str,
+        typer.Option(
+            help="Kind of workers: processes of this machine, or those of a Ray cluster that "
+            "RAY_ADDRESS names (ray)."
+        ),
+    ] = "processes",
     restart: Annotated[
         bool,
         typer.Option(
@@ -229,7 +238,7 @@ def run(
     """
     from smp_planner.benchmark.results_folder import ResultsError
     from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
-    from smp_planner.benchmark.worker_pool import available_cores
+    from smp_planner.benchmark.worker_pool import BACKENDS, available_cores
 
     single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
     chosen = _cells(suite, split_names(tasks), split_names(cells), single)
@@ -243,10 +252,11 @@ def run(
         lists=lists,
         **_replanning(replan_every, latency),
     )
-    workers = jobs or available_cores()
+    kind = cast("Backend", one_of(backend, BACKENDS, "--backend"))
     try:
-        rows = _run_with_progress(manifest, out, workers, restart)
-    except ResultsError as error:
+        workers = jobs or available_cores(kind)
+        rows = _run_with_progress(manifest, out, workers, restart, kind)
+    except (ResultsError, ModuleNotFoundError) as error:
         raise _fail(str(error), 2) from error
     except (WorkerDiedError, EpisodeFailedError) as error:
         raise _fail(str(error), 1) from error
@@ -319,7 +329,9 @@ def _manifest(*arguments: Any, **options: Any) -> Manifest:
         raise _fail(str(error), 2) from error
 
 
-def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) -> list[EpisodeRow]:
+def _run_with_progress(
+    manifest: Manifest, out: Path, jobs: int, restart: bool, backend: Backend
+) -> list[EpisodeRow]:
     from smp_planner.benchmark.runner import run as run_episodes
 
     with progress_bar("episodes", None, _console(error=True)) as (progress, bar):
@@ -327,6 +339,7 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
             manifest,
             out,
             jobs=jobs,
+            backend=backend,
             restart=restart,
             on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
         )

@@ -94,7 +94,13 @@ def read_folder(folder: Path, kind: ResultsKind[Parsed, Row]) -> tuple[Parsed, l
             _of_old_format(folder)
             or f"{str(folder)!r} holds no results: there is no {RESULTS} in it"
         )
-    with _naming(path), _opened(path, "rw") as database, _transaction(database, "DEFERRED"):
+    log = Path(f"{path}-wal")
+    options = "mode=rw"
+    if not os.access(folder, os.W_OK):
+        # Without a log nobody is writing, and SQLite need not ask who is, which takes a file.
+        logged = log.exists() and log.stat().st_size > 0
+        options = "mode=ro" if logged else "mode=ro&immutable=1"
+    with _naming(path), _opened(path, options) as database, _transaction(database, "DEFERRED"):
         if _is_empty(database):
             raise ResultsError(f"{str(folder)!r} holds no results yet")
         _check_format(database, path)
@@ -122,9 +128,9 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _opened(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+def _opened(path: Path, options: str) -> Iterator[sqlite3.Connection]:
     """Open a database and close it; what is torn or none at all is an error of SQLite at once."""
-    database = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
+    database = sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True)
     try:
         database.isolation_level = None
         damage = database.execute("PRAGMA quick_check(1)").fetchone()[0]
@@ -248,13 +254,13 @@ class ResultsFolder(Generic[Parsed, Row]):
             if not (self._path.exists() or restart) and (old := _of_old_format(folder)):
                 raise ResultsError(old)
             with _naming(self._path):
-                self._database = opened.enter_context(_opened(self._path, "rwc"))
+                self._database = opened.enter_context(_opened(self._path, "mode=rwc"))
+                with _transaction(self._database, "IMMEDIATE"):
+                    self._adopt(here, restart)
                 # Readers do not keep a row from being written, and a row is on disk when it is in
                 # the log.
                 self._database.execute("PRAGMA journal_mode=WAL")
                 self._database.execute("PRAGMA synchronous=FULL")
-                with _transaction(self._database, "IMMEDIATE"):
-                    self._adopt(here, restart)
                 self.rows = _rows(self._database, self._path, kind.table, self._belongs)
             self._keys = {row.key for row in self.rows}
             self._traces = self._found()
