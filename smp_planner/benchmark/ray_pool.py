@@ -8,6 +8,7 @@ was killed or a node that was lost had in hand is done by another.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -47,7 +48,7 @@ def _connected(cores: int | None, variables: dict[str, str]) -> Iterator[Any]:
     try:
         ray.init(
             address,
-            runtime_env={"env_vars": variables},
+            runtime_env={"env_vars": {**variables, "PYTHONPATH": _own_paths()}},
             logging_level="ERROR",
             log_to_driver=False,
             **(begun if address == "local" else {}),
@@ -58,6 +59,13 @@ def _connected(cores: int | None, variables: dict[str, str]) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _own_paths() -> str:
+    """Return where modules are found here that no installation brings, as for a method's file."""
+    installed = (sys.prefix, sys.base_prefix)
+    paths = [os.path.abspath(path) for path in sys.path if not path.startswith(installed)]
+    return os.pathsep.join(paths)
 
 
 def cluster_cores() -> int | None:

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from smp_gym.processes import end_with_parent
 
-__all__ = ["BACKENDS", "GRACE", "Backend", "available_cores", "workers"]
+__all__ = ["BACKENDS", "GRACE", "START", "Backend", "available_cores", "workers"]
 
 Backend = Literal["processes", "ray"]
 
@@ -21,6 +21,9 @@ BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 GRACE = 2.0
 """Seconds that work in hand has to end after an interruption, so that it need not be repeated."""
+
+START = "spawn"
+"""How processes are started: they import all anew, and share no thread and no lock with this."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -65,7 +68,7 @@ def workers(jobs: int, backend: Backend = "processes") -> Iterator[Executor]:
         return
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context(START)
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
     try:
         yield pool
