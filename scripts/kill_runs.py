@@ -79,9 +79,7 @@ def main(
                 if _rows(out) != wanted:
                     raise SystemExit(f"after {done} kills: {out} has other rows")
                 runs, kept = runs + 1, []
-        console.print(
-            f"{done} kills, {runs} runs with equal rows, {left} left over"
-        )
+        console.print(f"{done} kills, {runs} runs with equal rows, {left} left over")
     if left:
         raise SystemExit(1)
 

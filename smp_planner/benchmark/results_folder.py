@@ -123,7 +123,7 @@ def _naming(path: Path) -> Iterator[None]:
     """Name the file in the errors of SQLite."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise ResultsError(f"{path} cannot be read or written as results: {error}") from error
 
 

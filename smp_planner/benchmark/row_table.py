@@ -17,6 +17,7 @@ __all__ = ["KeyedRow", "RowTable", "checked", "compressed"]
 
 _COMPRESSED = "compressed"
 _TEXTS = "texts"
+_ROW_DIGEST = "row_digest"
 _LONGEST_TEXT = 2**26
 _SQL = {bool: "INTEGER", int: "INTEGER", float: "REAL", str: "TEXT"}
 
@@ -71,6 +72,7 @@ class RowTable(Generic[Row]):
 
     Numbers, texts and flags are kept as they are, ``None`` as NULL, and all else as JSON. A field
     from `compressed` holds the digest of its text, which the table ``texts`` has once for all rows.
+    A last column, ``row_digest``, tells rows that were changed or damaged after they were written.
 
     Args:
         name: of the table.
@@ -98,6 +100,7 @@ class RowTable(Generic[Row]):
             f'"{name}" {sql or "TEXT"}{" NOT NULL" if name in self._needed else ""}'
             for name, sql in self._sql.items()
         ]
+        columns.append(f"{_ROW_DIGEST} TEXT NOT NULL")
         key = ", ".join(f'"{name}"' for name in self._key)
         connection.execute(
             f'CREATE TABLE "{self._name}" ({", ".join(columns)}, PRIMARY KEY ({key}))'
@@ -124,6 +127,7 @@ class RowTable(Generic[Row]):
                     f"INSERT OR IGNORE INTO {_TEXTS} VALUES (?, ?)", (_digest(text), packed)
                 )
         stored = self._stored(row)
+        stored[_ROW_DIGEST] = _digest(_json(list(stored.values())))
         names = ", ".join(f'"{name}"' for name in stored)
         marks = ", ".join("?" * len(stored))
         connection.execute(
@@ -139,7 +143,8 @@ class RowTable(Generic[Row]):
             ValueError: there are other columns, or a row is not what `insert` makes of one.
         """
         found = [row[1] for row in connection.execute(f'PRAGMA table_info("{self._name}")')]
-        unknown, lacking = set(found) - set(self._sql), self._needed - set(found)
+        unknown = set(found) - {*self._sql, _ROW_DIGEST}
+        lacking = {*self._needed, _ROW_DIGEST} - set(found)
         if unknown or lacking:
             raise ValueError(
                 f"the table {self._name!r} has columns that are not known: {sorted(unknown)}, or "
@@ -165,13 +170,19 @@ class RowTable(Generic[Row]):
                 value = _digest(value) if value else ""
             elif sql is None and value is not None:
                 value = _json(value)
+            elif isinstance(value, bool):
+                value = int(value)
+            elif isinstance(value, float):
+                # SQLite has no negative zero.
+                value += 0.0
             stored[name] = value
         return stored
 
     def _parsed(self, stored: Mapping[str, Any], texts: Mapping[str, str]) -> Row:
         """Return the row of the values of the columns."""
         content = {}
-        for name, value in stored.items():
+        values = {name: value for name, value in stored.items() if name != _ROW_DIGEST}
+        for name, value in values.items():
             if name in self._compressed:
                 if value not in texts:
                     raise ValueError(f"{name}: no text has the digest {value!r:.60}")
@@ -182,10 +193,8 @@ class RowTable(Generic[Row]):
                 value = json.loads(value)
             content[name] = value
         row: Row = checked(self._kind, _json(content))
-        again = self._stored(row)
-        for name, value in stored.items():
-            if again[name] != value:
-                raise ValueError(f"{name}: is kept as {again[name]!r:.60}, got {value!r:.60}")
+        if _digest(_json(list(values.values()))) != stored[_ROW_DIGEST]:
+            raise ValueError("it was changed after it was written")
         return row
 
 
