@@ -69,7 +69,13 @@ def _own_paths() -> str:
 
 
 def cluster_cores() -> int | None:
-    """Return the number of cores of the cluster that ``RAY_ADDRESS`` names; None without one."""
+    """Return the number of cores of the cluster that ``RAY_ADDRESS`` names; None without one.
+
+    Raises:
+        ModuleNotFoundError: Ray is not installed; the message says how.
+        ConnectionError: the cluster cannot be reached.
+    """
+    _ray()
     if "RAY_ADDRESS" not in os.environ:
         return None
     with _connected(None, {}) as ray:
@@ -85,10 +91,12 @@ def _checked_call(
     code: _Code, function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]
 ) -> Any:
     """Call a function on a node, which must have the code and the packages of the run."""
-    if _code_here() != code:
+    (here, packages), (there, others) = code, _code_here()
+    if (here, packages) != (there, others):
+        found = {name: version for name, version in others.items() if packages[name] != version}
         raise ResultsError(
-            f"the node {os.uname().nodename!r} has other code or packages than this run: "
-            f"{_code_here()} there, {code} here"
+            f"the node {os.uname().nodename!r} has other code or packages than this run: code "
+            f"{there}, not {here}; {found}"
         )
     return function(*args, **kwargs)
 
