@@ -399,6 +399,9 @@ def test_bad_options_are_answered_with_what_exists(
         ("run", "--methods", "promp", "--episodes", "1", "--out", "{}/file/below"),
         ("draw", "--out", "{}/file/below"),
         ("show", "{}/damaged"),
+        ("show", "{}/torn"),
+        ("export", "{}/torn"),
+        ("import", "{}/torn", "--out", "{}/new"),
     ],
 )
 def test_an_error_of_the_system_is_one_line(
@@ -406,6 +409,8 @@ def test_an_error_of_the_system_is_one_line(
 ) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "damaged/results.sqlite").mkdir(parents=True)
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn/results.sqlite").write_bytes(b"SQLite format 3" + bytes(100))
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(SystemExit) as ended:
         app([argument.format(tmp_path) for argument in arguments])
