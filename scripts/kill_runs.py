@@ -67,7 +67,8 @@ def main(
         while done < kills:
             out = Path(name, str(runs))
             run = _start(manifest, out, jobs)
-            victim, workers = _kill_after(run, float(rng.uniform(0.0, longest)), rng)
+            rest = longest * (1.0 - len(kept) / len(wanted))
+            victim, workers = _kill_after(run, float(rng.uniform(0.0, rest)), rng)
             done += bool(victim)
             left += len(psutil.wait_procs(workers, _PATIENCE)[1])
             before, kept = kept, _rows(out)
@@ -89,6 +90,8 @@ def _start(manifest: Manifest, out: Path, jobs: int) -> int:
     child = os.fork()
     if child:
         return child
+    # As a spawned worker has it: a pool ends the rest of its workers in this manner.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         runner.run(manifest, out, jobs=jobs)
     except runner.WorkerDiedError:
