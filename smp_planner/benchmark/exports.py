@@ -23,6 +23,7 @@ from smp_planner.benchmark.episodes import (
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import write_csv
 from smp_planner.occupancy.archive import write_archive
+from smp_planner.planning.plan import Plan
 
 __all__ = ["export_episode", "write_csv", "write_parquet"]
 
@@ -107,11 +108,8 @@ def export_episode(player: PlayMethods, folder: Path, row: EpisodeRow) -> Path:
             f"{key} did not go as its row says, so that code or packages are others now: "
             f"{differences}"
         )
-    plan = played.plan
-    arrays = {name: getattr(plan, name) for name in _OF_PARTICLES}
-    arrays |= {f"cost_{name}": values for name, values in plan.costs.items()}
-    arrays |= {
-        "chosen": plan.chosen,
+    arrays = {
+        **_of_plan(played.plan),
         "configurations": arm.values,
         "end_effector_path": hand.values,
         "object_path": played.object_path,
@@ -122,6 +120,14 @@ def export_episode(player: PlayMethods, folder: Path, row: EpisodeRow) -> Path:
     kept = {name: np.asarray(value) for name, value in arrays.items() if value is not None}
     write_archive(path, header, kept)
     return path
+
+
+def _of_plan(plan: Plan | None) -> dict[str, Any]:
+    """Return the arrays of a plan; none of a method that acts without one."""
+    if plan is None:
+        return {}
+    costs = {f"cost_{name}": values for name, values in plan.costs.items()}
+    return {name: getattr(plan, name) for name in _OF_PARTICLES} | costs | {"chosen": plan.chosen}
 
 
 def _name(key: EpisodeKey) -> str:
