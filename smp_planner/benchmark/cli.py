@@ -271,7 +271,8 @@ def run(
     _draw(
         manifest,
         out,
-        workers,
+        # What is drawn, is drawn here.
+        workers if kind == "processes" else available_cores(),
         drawn if figure is None else figure,
         drawn if video is None else video,
     )

@@ -102,7 +102,7 @@ def read_folder(folder: Path, kind: ResultsKind[Parsed, Row]) -> tuple[Parsed, l
         options = "mode=ro" if logged else "mode=ro&immutable=1"
     with _naming(path), _opened(path, options) as database, _transaction(database, "DEFERRED"):
         if _is_empty(database):
-            raise ResultsError(f"{str(folder)!r} holds no results yet")
+            raise ResultsError(f"{path} holds no results yet")
         _check_format(database, path)
         manifest = _parsed(_manifest(database, path), kind, path)
         return manifest, _rows(database, path, kind.table, kind.belongs(manifest))

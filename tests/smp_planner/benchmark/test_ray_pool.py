@@ -1,6 +1,7 @@
 """Rows from a Ray cluster are those of processes, also where workers and nodes are lost."""
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -12,10 +13,11 @@ import pytest
 from fake_episodes import fails_at_seed_two, fake_play, manifest, slow_play, without_times
 from typer.testing import CliRunner
 
-from smp_planner.benchmark import runner
+from smp_planner.benchmark import ray_pool, runner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
 from smp_planner.benchmark.manifest import read_results
+from smp_planner.benchmark.results_folder import ResultsError
 
 NODE: dict[str, Any] = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
 VARIABLES = {
@@ -79,6 +81,15 @@ def test_a_node_that_is_lost_loses_no_row(cluster: SimpleNamespace, tmp_path: Pa
     rows = runner.run(made, tmp_path, jobs=2, backend="ray", player=slow_play, on_progress=lose)
     assert len(cluster.nodes.worker_nodes) == 0
     assert without_times(rows) == without_times([fake_play(k) for k in made.episode_keys()])
+
+
+def test_a_node_of_other_code_plays_nothing() -> None:
+    code, packages = ray_pool._code_here()
+    assert ray_pool._checked_call((code, packages), len, ("abc",), {}) == 3
+    with pytest.raises(ResultsError, match=rf"other code or packages.*code {code}, not 0000"):
+        ray_pool._checked_call(("0000", packages), len, ("abc",), {})
+    with pytest.raises(ResultsError, match=rf"{{'torch': '{re.escape(packages['torch'])}'}}"):
+        ray_pool._checked_call((code, {**packages, "torch": "1.0"}), len, ("abc",), {})
 
 
 def run(*arguments: str) -> str:
