@@ -312,10 +312,13 @@ class ResultsFolder(Generic[Parsed, Row]):
                 raise ValueError(f"it does not belong to this run: {row.key}")
             if row.key in self._keys:
                 raise ValueError(f"it is there twice: {row.key}")
-            with _naming(self._path), _transaction(self._database, "IMMEDIATE"):
+            with _transaction(self._database, "IMMEDIATE"):
                 self._kind.table.insert(self._database, kept)
-        except ResultsError:
-            raise
+        except sqlite3.Error as error:
+            raise ResultsError(
+                f"{self._path} cannot be written: {error}; the rows before are kept, and the same "
+                "command goes on from them"
+            ) from error
         except (ValueError, OverflowError) as error:
             raise ResultsError(f"a row cannot be kept in {self._path}: {error}") from error
         finally:
