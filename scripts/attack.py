@@ -36,7 +36,7 @@ from smp_gym.datasets.motion_bench_maker import load_obstacles
 from smp_gym.observation import decode
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Goal, ManipulatedObject, Motion, Obstacle, Scene
-from smp_gym.suites import SUITES
+from smp_gym.suites import SUITES, Cell
 from smp_planner import (
     SMP,
     AdaptSettings,
@@ -53,6 +53,9 @@ from smp_planner import (
     make_planner,
 )
 from smp_planner.adaptation import adaptation
+from smp_planner.benchmark.episodes import EpisodeRow
+from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_results
+from smp_planner.benchmark.results_folder import RESULTS
 from smp_planner.movement_primitives import GaussianBasis, ProMP
 
 LIMIT = 10.0
@@ -374,6 +377,11 @@ def readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], Any]]]:
         "          dimensions: [0.1, 0.05]\n      primitive_poses:\n"
         "        - {position: [0.5, 0.0, 0.1], orientation: [0.0, 0.0, 0.0, 1.0]}\n"
     )
+    manifest = make_manifest([Cell("Placement", "none")], ["promp"], 0, 1)
+    (key,) = manifest.episode_keys()
+    with EpisodeStore(folder / "run", manifest) as store:
+        fields = (key.task, key.method, key.difficulty, key.seed)
+        store.append(EpisodeRow(*fields, True, False, "", "", 0.1, 1.0, 0.02, 150))
     cell = SUITES["standard"][0]
     drawn = sample_scene(cell.task, cell.difficulty, 0)
     listed = frozen.list_path(cell, folder)
@@ -393,6 +401,7 @@ def readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], Any]]]:
             p, "j2s6s200_end_effector")),
         ("load_obstacles", folder / "scene.yaml", load_obstacles),
         ("load_episodes", listed, load_list),
+        ("read_results", folder / "run" / RESULTS, lambda p: read_results(p.parent)),
         ("Scene.from_json", folder / "scene.json", lambda p: Scene.from_json(p.read_bytes())),
     ]  # fmt: skip
 

@@ -71,6 +71,8 @@ def main(
     except Interrupted:
         console.print("interrupted; the same command goes on from the last checkpoint")
         raise
+    finally:
+        training.close()
     console.print(
         f"{name}, {difficulty}: {result.successes} of {result.episodes} evaluation episodes, "
         f"{result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after {result.steps} steps; "

@@ -11,17 +11,18 @@ from typing import Any
 MID_WRITE = 0
 
 
-def killed(action: Callable[[], Any], moment: int) -> bool:
+def killed(action: Callable[[], Any], moment: int, size: int = 100) -> bool:
     """Run an action in a forked process that dies on the way, and return whether it did.
 
     Args:
         action: what to run.
-        moment: `MID_WRITE`, where the system kills it after 100 bytes of a file; from 1 on, before
+        moment: `MID_WRITE`, where the system kills it as a file outgrows `size`; from 1 on, before
             so many calls that sync, rename or remove.
+        size: in bytes.
     """
     child = os.fork()
     if child == 0:
-        _die_at(moment)
+        _die_at(moment, size)
         try:
             action()
         except BaseException:
@@ -33,11 +34,11 @@ def killed(action: Callable[[], Any], moment: int) -> bool:
     return status != 0
 
 
-def _die_at(moment: int) -> None:
+def _die_at(moment: int, size: int) -> None:
     if moment == MID_WRITE:
         # Python disregards the signal that ends a process here.
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
         return
     left = moment
 

@@ -27,6 +27,7 @@ EXAMPLES = [
         "controls",
         "draw_scenes",
         "export_minari",
+        "kill_runs",
         "lasa",
         "make_benchmark",
         "make_jaco_assets",

@@ -45,6 +45,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.atomic_files import replacing, write_text
 from smp_gym.env import ManipulationEnv
+from smp_gym.folder_lock import FolderLock
 from smp_gym.registration import environment_id
 from smp_gym.scene import EVALUATION_SEEDS_START
 from smp_planner.agents.evaluations import (
@@ -233,6 +234,8 @@ class _Periodically(BaseCallback):
 class Training:
     """One training run, in a folder; starting it again goes on exactly from the last checkpoint.
 
+    Nobody else can train in the folder until `close`, or until the process ends.
+
     Args:
         folder: to write.
         task: one of `smp_gym.scene.TASKS`.
@@ -243,6 +246,7 @@ class Training:
 
     Raises:
         ValueError: the folder holds another training, or the hyper-parameters do not fit.
+        OSError: somebody else trains there (`FolderInUseError`), or it cannot be written to.
     """
 
     def __init__(
@@ -264,6 +268,8 @@ class Training:
             "seed": seed,
             "settings": asdict(settings),
         }
+        # Before anything is read there: whoever trains replaces what is.
+        lock = FolderLock(folder) if folder.is_dir() else None
         begun = folder / "run.json"
         if begun.exists() and begun.read_text() != _text(description):
             raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
@@ -278,6 +284,7 @@ class Training:
         self.model = load_checkpoint(folder, env) or make_model(env, settings, seed)
         # Only now are the settings known to be good: those that are refused claim no folder.
         folder.mkdir(parents=True, exist_ok=True)
+        self._lock = lock or FolderLock(folder)
         write_text(begun, _text(description))
         self.evaluations = [
             evaluation
@@ -318,6 +325,10 @@ class Training:
             if self.evaluations[-1:] and self.evaluations[-1].steps == self.model.num_timesteps:
                 return
             measure(self.model)
+
+    def close(self) -> None:
+        """Let others train in the folder."""
+        self._lock.close()
 
     def finish(self, episodes: int) -> Evaluation:
         """Measure the best agent on evaluation seeds."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import platform
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
@@ -146,7 +146,7 @@ class _Half:
 def _half(
     candidates: Iterator[Candidate],
     wanted: int,
-    pool: ProcessPoolExecutor,
+    pool: Executor,
     jobs: int,
     on_kept: Callable[[], None],
 ) -> _Half:
@@ -174,7 +174,7 @@ def make_list(
     path: Path,
     cell: Cell,
     episodes: int,
-    pool: ProcessPoolExecutor,
+    pool: Executor,
     jobs: int,
     *,
     seed: int = EVALUATION_RANGE_START,

@@ -7,16 +7,18 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from smp_planner.benchmark.folder_commands import export, import_results
 from smp_planner.benchmark.options import (
     CommandLine,
     Interrupted,
+    one_of,
     print_error,
     progress_bar,
     split_names,
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from smp_gym.suites import Cell
     from smp_planner.benchmark.episodes import EpisodeRow
     from smp_planner.benchmark.manifest import Manifest
+    from smp_planner.benchmark.worker_pool import Backend
 
 __all__ = ["app"]
 
@@ -191,6 +194,13 @@ def run(
         int | None,
         typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
     ] = None,
+    backend: Annotated[
+        str,
+        typer.Option(
+            help="Kind of workers: processes of this machine, or those of a Ray cluster that "
+            "RAY_ADDRESS names (ray)."
+        ),
+    ] = "processes",
     restart: Annotated[
         bool,
         typer.Option(
@@ -214,7 +224,8 @@ def run(
 ) -> None:
     """Play episodes and write table, figure and video.
 
-    Writes into the folder [bold]--out[/bold]: [cyan]episodes.csv[/cyan] (a row per episode),
+    Writes into the folder [bold]--out[/bold]: [cyan]results.sqlite[/cyan] (all of the run: a row
+    per episode, its scene, settings and versions), and from it [cyan]episodes.csv[/cyan],
     [cyan]summary.json[/cyan] (rates with Wilson and means with bootstrap intervals),
     [cyan]scene_CELL_METHOD.png[/cyan] and [cyan]episode_CELL_METHOD.mp4[/cyan].
 
@@ -227,7 +238,7 @@ def run(
     """
     from smp_planner.benchmark.results_folder import ResultsError
     from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
-    from smp_planner.benchmark.worker_pool import available_cores
+    from smp_planner.benchmark.worker_pool import BACKENDS, available_cores
 
     single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
     chosen = _cells(suite, split_names(tasks), split_names(cells), single)
@@ -241,10 +252,11 @@ def run(
         lists=lists,
         **_replanning(replan_every, latency),
     )
-    workers = jobs or available_cores()
+    kind = cast("Backend", one_of(backend, BACKENDS, "--backend"))
     try:
-        rows = _run_with_progress(manifest, out, workers, restart)
-    except ResultsError as error:
+        workers = jobs or available_cores(kind)
+        rows = _run_with_progress(manifest, out, workers, restart, kind)
+    except (ResultsError, ModuleNotFoundError) as error:
         raise _fail(str(error), 2) from error
     except (WorkerDiedError, EpisodeFailedError) as error:
         raise _fail(str(error), 1) from error
@@ -259,7 +271,8 @@ def run(
     _draw(
         manifest,
         out,
-        workers,
+        # What is drawn, is drawn here.
+        workers if kind == "processes" else available_cores(),
         drawn if figure is None else figure,
         drawn if video is None else video,
     )
@@ -317,7 +330,9 @@ def _manifest(*arguments: Any, **options: Any) -> Manifest:
         raise _fail(str(error), 2) from error
 
 
-def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) -> list[EpisodeRow]:
+def _run_with_progress(
+    manifest: Manifest, out: Path, jobs: int, restart: bool, backend: Backend
+) -> list[EpisodeRow]:
     from smp_planner.benchmark.runner import run as run_episodes
 
     with progress_bar("episodes", None, _console(error=True)) as (progress, bar):
@@ -325,6 +340,7 @@ def _run_with_progress(manifest: Manifest, out: Path, jobs: int, restart: bool) 
             manifest,
             out,
             jobs=jobs,
+            backend=backend,
             restart=restart,
             on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
         )
@@ -399,6 +415,10 @@ def show(
     total = len(manifest.episode_keys())
     if len(rows) < total:
         console.print(f"unfinished: {len(rows)} of {total} episodes")
+
+
+app.command()(export)
+app.command("import")(import_results)
 
 
 @app.command()

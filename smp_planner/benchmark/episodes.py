@@ -20,11 +20,13 @@ from smp_gym.registration import environment_id
 from smp_gym.rollout import FieldRecorder, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
 from smp_gym.suites import Cell
+from smp_planner.benchmark.row_table import compressed
 from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import Execution, PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = [
+    "TIMES",
     "WARM_UP_SEED",
     "EpisodeKey",
     "EpisodePlayer",
@@ -34,6 +36,9 @@ __all__ = [
     "environment_id",
     "play_episode",
 ]
+
+TIMES = ("replanning_time", "planning_time", "episode_time", "stage_times")
+"""Fields of a row that differ from run to run."""
 
 WARM_UP_SEED = 0
 """Tuning seed whose episode a worker plans once, unrecorded, so that no row times a compilation."""
@@ -129,7 +134,8 @@ class EpisodeRow:
         replanning_time: mean time of these, s.
         planning_time: time of the whole plan, s.
         episode_time: time of the episode from reset to its end, planning included, s.
-        stage_times: time of each stage of the plan by name, s; not in the CSV.
+        stage_times: time of each stage of the plan by name, s; not in the CSV, nor is the next.
+        scene: that was played, as JSON.
     """
 
     task: str
@@ -165,6 +171,7 @@ class EpisodeRow:
     planning_time: float = 0.0
     episode_time: float = 0.0
     stage_times: Mapping[str, float] = field(default_factory=dict)
+    scene: str = compressed()
 
     @property
     def key(self) -> EpisodeKey:
@@ -308,6 +315,7 @@ def play_episode(
         sensing=key.sensing,
         noise=key.noise,
         episode_time=elapsed,
+        scene=env.get_wrapper_attr("scene").to_json(),
         **{**_of_plan(plan), **_of_replanning(execution, policy)},
     )
     return PlayedEpisode(row, decode(played.first, key.task).scene, plan, carried.values)

@@ -14,12 +14,8 @@ from typing import Any
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.suites import Cell
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow, PlayMethods
-from smp_planner.benchmark.results_folder import (
-    ResultsFolder,
-    checked,
-    read_manifest,
-    read_rows,
-)
+from smp_planner.benchmark.results_folder import ResultsFolder, ResultsKind, read_folder
+from smp_planner.benchmark.row_table import RowTable, checked
 from smp_planner.planners.registry import resolve
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
@@ -32,8 +28,6 @@ __all__ = [
     "read_results",
     "versions",
 ]
-
-_ROWS = "episodes.jsonl"
 
 _PACKAGES = ("smp-gym", "gymnasium", "numba", "numpy", "pybullet", "scipy", "torch")
 _SOURCES = ("smp_gym", "smp_planner", "envs_assets")
@@ -217,7 +211,14 @@ def make_manifest(
     )
 
 
-class EpisodeStore(ResultsFolder[EpisodeRow]):
+_EPISODES: ResultsKind[Manifest, EpisodeRow] = ResultsKind(
+    RowTable("episodes", EpisodeRow, EpisodeKey),
+    Manifest.from_json,
+    lambda manifest: set(manifest.episode_keys()).__contains__,
+)
+
+
+class EpisodeStore(ResultsFolder[Manifest, EpisodeRow]):
     """The rows of a run of the benchmark, open for more; see `ResultsFolder`.
 
     Args:
@@ -227,15 +228,7 @@ class EpisodeStore(ResultsFolder[EpisodeRow]):
     """
 
     def __init__(self, folder: Path, manifest: Manifest, *, restart: bool = False) -> None:
-        super().__init__(
-            folder,
-            _ROWS,
-            EpisodeRow,
-            manifest.to_json(),
-            belongs=set(manifest.episode_keys()).__contains__,
-            parse_manifest=Manifest.from_json,
-            restart=restart,
-        )
+        super().__init__(folder, _EPISODES, manifest.to_json(), restart=restart)
 
 
 def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
@@ -244,6 +237,4 @@ def read_results(folder: Path) -> tuple[Manifest, list[EpisodeRow]]:
     Raises:
         ResultsError: no results there, or damaged ones.
     """
-    manifest = read_manifest(folder, Manifest.from_json)
-    keys = set(manifest.episode_keys())
-    return manifest, read_rows(folder / _ROWS, EpisodeRow, keys.__contains__)
+    return read_folder(folder, _EPISODES)

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest
 from smp_planner.benchmark.results_folder import ResultsFolder
-from smp_planner.benchmark.worker_pool import GRACE, workers
+from smp_planner.benchmark.worker_pool import GRACE, Backend, workers
 
 __all__ = [
     "EpisodeFailedError",
@@ -63,15 +63,20 @@ def _take(futures: set[Future[Row]], done: Callable[[Row], None]) -> None:
 
 
 def play_all(
-    keys: Sequence[Key], player: Callable[[Key], Row], jobs: int, done: Callable[[Row], None]
+    keys: Sequence[Key],
+    player: Callable[[Key], Row],
+    jobs: int,
+    done: Callable[[Row], None],
+    backend: Backend = "processes",
 ) -> None:
-    """Play episodes in `jobs` spawned processes and hand over each row as it comes.
+    """Play episodes in `jobs` workers and hand over each row as it comes.
 
     Args:
         keys: what is played, in order.
         player: returns the row of a key; importable by name, for it runs in other processes.
         jobs: number of worker processes.
         done: called with each row in this process.
+        backend: of `smp_planner.benchmark.worker_pool.workers`.
 
     Raises:
         BrokenProcessPool: a worker process was killed.
@@ -79,7 +84,7 @@ def play_all(
     """
     waiting = iter(keys)
     running: set[Future[Row]] = set()
-    with workers(jobs) as pool:
+    with workers(jobs, backend) as pool:
         try:
             while True:
                 while len(running) < 2 * jobs and (key := next(waiting, None)) is not None:
@@ -99,11 +104,12 @@ def play_all(
 
 
 def play_missing(
-    store: ResultsFolder[Any],
+    store: ResultsFolder[Any, Any],
     keys: Sequence[Key],
     player: Callable[[Key], Any],
     *,
     jobs: int = 1,
+    backend: Backend = "processes",
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Play what a folder does not hold yet, and store each row as it comes.
@@ -115,6 +121,7 @@ def play_missing(
         keys: of its rows, in the order of play.
         player: returns the row of a key; importable by name, for it runs in other processes.
         jobs: number of worker processes.
+        backend: of `smp_planner.benchmark.worker_pool.workers`.
         on_progress: called with the number of keys that are done and of all.
 
     Raises:
@@ -135,7 +142,7 @@ def play_missing(
 
     try:
         if missing:
-            play_all(missing, player, min(jobs, len(missing)), keep)
+            play_all(missing, player, min(jobs, len(missing)), keep, backend)
     except BrokenProcessPool as error:
         raise WorkerDiedError(
             f"a worker process died (killed, or out of memory) after {done} of {len(keys)}, which "
@@ -155,24 +162,27 @@ def run(
     folder: Path,
     *,
     jobs: int = 1,
+    backend: Backend = "processes",
     restart: bool = False,
     player: EpisodePlayer | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[EpisodeRow]:
     """Play all episodes that `folder` does not hold yet, and return all rows, sorted.
 
-    Rows do not depend on `jobs`, times excepted; see `play_missing`.
+    Rows do not depend on `jobs` and `backend`, times excepted; see `play_missing`.
 
     Args:
         manifest: what to play, from `make_manifest`.
         folder: of the results.
         jobs: number of worker processes.
+        backend: of `smp_planner.benchmark.worker_pool.workers`.
         restart: drop the rows of a folder that was made for something else, instead of refusing.
         player: what plays an episode, in place of the manifest's methods.
         on_progress: called with the number of episodes that are done and of all.
 
     Raises:
-        ResultsError: the folder is of other settings, damaged or in use.
+        ResultsError: the folder is of other settings or damaged.
+        OSError: it is in use, or cannot be written to.
         WorkerDiedError: a worker process was killed.
         EpisodeFailedError: an episode raised an exception.
         ValueError: `jobs` is below 1.
@@ -184,6 +194,7 @@ def run(
             manifest.episode_keys(),
             player or manifest.player,
             jobs=jobs,
+            backend=backend,
             on_progress=on_progress,
         )
         return sorted(store.rows, key=lambda row: row.key)

@@ -32,7 +32,7 @@ __all__ = [
     "write_csv",
 ]
 
-CSV_COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name != "stage_times")
+CSV_COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name not in ("stage_times", "scene"))
 """Columns of ``episodes.csv``; the last three are times and differ from run to run."""
 
 CONFIDENCE = 0.95

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from smp_gym.scene import TASKS
 from smp_planner.benchmark.manifest import code_digest, versions
-from smp_planner.benchmark.results_folder import ResultsFolder, checked, read_rows
+from smp_planner.benchmark.results_folder import ResultsFolder, ResultsKind, read_folder
+from smp_planner.benchmark.row_table import RowTable, checked
 from smp_planner.benchmark.runner import play_missing
 from smp_planner.experiments.table_two.repetitions import (
     METHODS,
@@ -22,8 +23,6 @@ from smp_planner.experiments.table_two.repetitions import (
 from smp_planner.experiments.table_two.scenes import load_scenes
 
 __all__ = ["keys_of", "read", "run"]
-
-_ROWS = "repetitions.jsonl"
 
 
 def keys_of(tasks: Sequence[str], methods: Sequence[str], repetitions: int) -> list[RepetitionKey]:
@@ -57,13 +56,20 @@ def _belongs(key: RepetitionKey) -> bool:
     return key.task in TASKS and key.method in METHODS and key.repetition >= 0
 
 
+_REPETITIONS: ResultsKind[_Manifest, RepetitionRow] = ResultsKind(
+    RowTable("repetitions", RepetitionRow, RepetitionKey),
+    lambda content: checked(_Manifest, json.dumps(content)),
+    lambda manifest: _belongs,
+)
+
+
 def read(folder: Path) -> list[RepetitionRow]:
     """Return the rows of a folder, sorted.
 
     Raises:
-        ResultsError: a row is damaged, there twice, or of something else.
+        ResultsError: there are no results, or they are damaged or of something else.
     """
-    rows = read_rows(folder / _ROWS, RepetitionRow, _belongs)
+    _, rows = read_folder(folder, _REPETITIONS)
     return sorted(rows, key=lambda row: row.key)
 
 
@@ -87,17 +93,11 @@ def run(
         on_progress: called with the number of repetitions that are done and of all.
 
     Raises:
-        ResultsError: the folder was made with other code, packages or scenes, is damaged or in use.
+        ResultsError: the folder was made with other code, packages or scenes, or is damaged.
+        OSError: it is in use, or cannot be written to.
         WorkerDiedError: a worker process was killed.
         EpisodeFailedError: a repetition raised an exception.
         ValueError: `jobs` is below 1.
     """
-    with ResultsFolder(
-        folder,
-        _ROWS,
-        RepetitionRow,
-        asdict(_manifest()),
-        belongs=_belongs,
-        parse_manifest=lambda content: checked(_Manifest, json.dumps(content)),
-    ) as store:
+    with ResultsFolder(folder, _REPETITIONS, asdict(_manifest())) as store:
         play_missing(store, keys, player, jobs=jobs, on_progress=on_progress)

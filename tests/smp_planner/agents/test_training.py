@@ -20,6 +20,7 @@ from typer.testing import CliRunner, Result
 
 from smp_gym.assets import asset_path
 from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
+from smp_gym.folder_lock import FolderLock
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_planner.agents.evaluations import evaluate, read_evaluations
 from smp_planner.agents.hyper_parameters import HyperParameters
@@ -106,6 +107,16 @@ def test_an_interrupted_training_is_equal_to_one_at_once(trained: Path) -> None:
     for name, value in at_once._last_obs.items():
         assert np.array_equal(value, interrupted._last_obs[name])
     env.close()
+
+
+def test_two_trainings_in_one_folder_lock_each_other_out(trained: Path) -> None:
+    before = {path.name: path.read_bytes() for path in (trained / "at_once").glob("*.*")}
+    with FolderLock(trained / "at_once"):
+        settings = str(trained / "settings.json")
+        result = _train("--settings", settings, "--out", str(trained / "at_once"))
+    assert result.exit_code == 2
+    assert "another process is writing to the folder" in result.output
+    assert {path.name: path.read_bytes() for path in (trained / "at_once").glob("*.*")} == before
 
 
 def test_a_kill_within_a_checkpoint_leaves_the_old_or_the_new(trained: Path) -> None:

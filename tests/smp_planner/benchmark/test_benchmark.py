@@ -4,8 +4,6 @@ import csv
 import dataclasses
 import json
 import os
-import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fake_episodes import (
+    HARD,
+    MEDIUM,
+    fails_at_seed_two,
+    fake_play,
+    is_killed_at_seed_two,
+    manifest,
+    without_times,
+)
 from rich.console import Console
 from scipy import stats
 from typer.testing import CliRunner
@@ -24,9 +31,9 @@ from smp_gym.datasets.frozen import FrozenEpisode, list_path, load_episodes, wri
 from smp_gym.suites import SUITES, Cell
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.cli import app
-from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow
-from smp_planner.benchmark.manifest import EpisodeStore, Manifest, make_manifest, read_results
-from smp_planner.benchmark.results_folder import ResultsError, row_line
+from smp_planner.benchmark.episodes import TIMES, EpisodeKey, EpisodeRow
+from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_results
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import (
     CSV_COLUMNS,
     mean_interval,
@@ -36,61 +43,6 @@ from smp_planner.benchmark.summary import (
     tables,
     write_csv,
 )
-
-TIMES = ("replanning_time", "planning_time", "episode_time")
-MEDIUM, HARD = Cell("Placement", "medium"), Cell("Placement", "hard")
-
-
-def fake_play(key: EpisodeKey) -> EpisodeRow:
-    """Return a row that follows from the key, without an environment."""
-    draw = np.random.default_rng([key.seed, len(key.method)])
-    success = bool(draw.random() < 0.7)
-    return EpisodeRow(
-        task=key.task,
-        method=key.method,
-        difficulty=key.difficulty,
-        seed=key.seed,
-        success=success,
-        collision=not success,
-        cause="" if success else "collision",
-        contact="" if success else "palm – obstacle_0",
-        goal_error=float(draw.random()),
-        path_length=1.0 + float(draw.random()),
-        clearance=0.02,
-        steps=int(draw.integers(100, 400)),
-        half=key.half,
-        family=key.family,
-        sensing=key.sensing,
-        noise=key.noise,
-        share_collision_free=float(draw.random()),
-        planning_time=time.perf_counter() % 1.0,
-        episode_time=0.1,
-        stage_times={"map": 0.01, "inference": 0.2},
-    )
-
-
-def fails_at_seed_two(key: EpisodeKey) -> EpisodeRow:
-    if key.seed == 2:
-        raise ValueError("a goal out of reach")
-    return fake_play(key)
-
-
-def is_killed_at_seed_two(key: EpisodeKey) -> EpisodeRow:
-    if key.seed == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return fake_play(key)
-
-
-def manifest(episodes: int = 4, **changes: Any) -> Manifest:
-    made = Manifest((MEDIUM,), ("smp", "promp"), 0, episodes, {"numpy": "2"}, "abc")
-    return dataclasses.replace(made, **changes)
-
-
-def without_times(folder: Path, rows: list[EpisodeRow]) -> list[dict[str, str]]:
-    write_csv(folder / "episodes.csv", rows)
-    with (folder / "episodes.csv").open() as file:
-        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
-
 
 # What is asked
 
@@ -182,17 +134,7 @@ def test_a_cell_is_in_every_key_and_in_the_titles() -> None:
     assert titles == [f"{cell.name}, seeds 0–1" for cell in cells]
 
 
-# What is stored
-
-
-def test_rows_survive_the_disk(tmp_path: Path) -> None:
-    rows = [fake_play(key) for key in manifest().episode_keys()]
-    with EpisodeStore(tmp_path, manifest()) as store:
-        for row in rows:
-            store.append(row)
-    stored, back = read_results(tmp_path)
-    assert stored == manifest()
-    assert back == rows
+# What is exported
 
 
 def test_csv_is_sorted_and_ends_with_the_times(tmp_path: Path) -> None:
@@ -201,203 +143,10 @@ def test_csv_is_sorted_and_ends_with_the_times(tmp_path: Path) -> None:
     with (tmp_path / "rows.csv").open() as file:
         header, *rows = list(csv.reader(file))
     assert tuple(header) == CSV_COLUMNS
-    assert tuple(header[-3:]) == TIMES
+    assert tuple(header[-3:]) == TIMES[:3]
     found = [(row[0], row[1], row[2], int(row[3])) for row in rows]
     assert found == sorted((k.task, k.method, k.difficulty, k.seed) for k in keys)
     assert float(rows[0][header.index("goal_error")]) == fake_play(min(keys)).goal_error
-
-
-def test_a_torn_last_line_is_played_again(tmp_path: Path) -> None:
-    keys = manifest().episode_keys()
-    with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(fake_play(keys[0]))
-        store.append(fake_play(keys[1]))
-    path = tmp_path / "episodes.jsonl"
-    path.write_bytes(path.read_bytes()[:-20])
-    with EpisodeStore(tmp_path, manifest()) as store:
-        assert store.missing(keys) == keys[1:]
-        store.append(fake_play(keys[1]))
-    assert [row.key for row in read_results(tmp_path)[1]] == keys[:2]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda row: row, "twice"),
-        (lambda row: row.replace("promp", "prompt"), "does not belong"),
-        (lambda row: row.replace('"seed": 0', '"seed": 4'), "does not belong"),
-        (lambda row: row.replace('"seed": 0', '"seed": "0"'), "seed: .* got '0'"),
-        (lambda row: row.replace('"success": ', '"success": 1, "x": '), "success: "),
-        (lambda row: row.replace('"noise": 0.0', '"noise": NaN'), "JSON compliant"),
-        (lambda row: row.replace('"noise": 0.0', '"noise": 1e999'), "JSON compliant"),
-        (lambda row: row.replace('"noise": 0.0, ', ""), "missing"),
-        (lambda row: row.replace('"noise": 0.0, ', '"noise": 0.0, "noise": 0.0, '), "doubled"),
-        (lambda row: row.replace('"noise"', '"nose"'), "not known"),
-        (lambda row: row[:40], "Invalid JSON"),
-        (lambda row: "[]", "an object"),
-        (lambda row: "", "Invalid JSON"),
-    ],
-)
-def test_a_damaged_line_is_named(
-    tmp_path: Path, change: Callable[[str], str], message: str
-) -> None:
-    smp, promp = (fake_play(key) for key in manifest().episode_keys()[:2])
-    with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(smp)
-    path = tmp_path / "episodes.jsonl"
-    with path.open("a") as file:
-        row = smp if message == "twice" else promp
-        file.write(change(row_line(row).decode().strip()) + "\n")
-    before = path.read_bytes()
-    with pytest.raises(ResultsError, match=rf"episodes\.jsonl, line 2.*{message}") as raised:
-        EpisodeStore(tmp_path, manifest())
-    assert "\n" not in str(raised.value)
-    with pytest.raises(ResultsError, match=message):
-        read_results(tmp_path)
-    assert path.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"goal_error": float("nan")}, "JSON compliant"),
-        ({"steps": 1.5}, "steps: .*got 1.5"),
-        ({"success": None}, "success: "),
-        ({"seed": 99}, "does not belong"),
-        ({"seed": 1}, "twice"),
-    ],
-)
-def test_a_row_that_cannot_be_read_again_is_not_written(
-    tmp_path: Path, change: dict[str, Any], message: str
-) -> None:
-    first, _, second, *_ = (fake_play(key) for key in manifest().episode_keys())
-    with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(second)
-        with pytest.raises(ResultsError, match=message):
-            store.append(dataclasses.replace(first, **change))
-        store.append(dataclasses.replace(first, goal_error=1))
-    assert read_results(tmp_path)[1] == [second, dataclasses.replace(first, goal_error=1.0)]
-
-
-def test_a_row_that_is_written_in_part_is_taken_back(tmp_path: Path) -> None:
-    first, second, *_ = (fake_play(key) for key in manifest().episode_keys())
-    path = tmp_path / "episodes.jsonl"
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(first)
-        whole = path.read_bytes()
-        resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 100, limits[1]))
-        try:
-            with pytest.raises(OSError, match=r"episodes\.jsonl"):
-                store.append(second)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        assert path.read_bytes() == whole
-        store.append(second)
-    assert read_results(tmp_path)[1] == [first, second]
-
-
-@pytest.mark.parametrize("gone", ["folder", "rows", "manifest", "replaced", "cut"])
-def test_a_folder_that_changes_in_mid_run_is_noticed(tmp_path: Path, gone: str) -> None:
-    out = tmp_path / "out"
-    first, second, *_ = (fake_play(key) for key in manifest().episode_keys())
-    with EpisodeStore(out, manifest()) as store:
-        store.append(first)
-        rows = out / "episodes.jsonl"
-        if gone == "folder":
-            shutil.rmtree(out)
-        elif gone == "replaced":
-            out.rename(tmp_path / "other")
-            shutil.copytree(tmp_path / "other", out)
-        elif gone == "cut":
-            os.truncate(rows, 10)
-        else:
-            (rows if gone == "rows" else out / "manifest.json").unlink()
-        with pytest.raises(ResultsError, match="removed, replaced or changed"):
-            store.append(second)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"cells": (HARD,)}, "cell of Placement_hard: None there"),
-        ({"suite": "standard"}, "suite: '' there, 'standard' now"),
-        ({"seed": 1}, "seed: 0 there, 1 now"),
-        ({"methods": ("smp",)}, "methods"),
-        ({"versions": {"numpy": "3"}}, "version of numpy: 2 there, 3 now"),
-        ({"code": "xyz"}, "code: 'abc' there, 'xyz' now"),
-        ({"episodes": 3}, "episodes: 4 there, only 3 now"),
-    ],
-)
-def test_other_settings_are_refused_or_start_anew(
-    tmp_path: Path, change: dict[str, Any], message: str
-) -> None:
-    row = fake_play(manifest().episode_keys()[0])
-    with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(row)
-    with pytest.raises(ResultsError, match=message):
-        EpisodeStore(tmp_path, manifest(**change))
-    assert read_results(tmp_path) == (manifest(), [row])
-    with EpisodeStore(tmp_path, manifest(**change), restart=True) as store:
-        assert store.rows == []
-    assert read_results(tmp_path) == (manifest(**change), [])
-
-
-def test_restart_continues_where_the_settings_are_the_same(tmp_path: Path) -> None:
-    row = fake_play(manifest().episode_keys()[0])
-    with EpisodeStore(tmp_path, manifest()) as store:
-        store.append(row)
-    with EpisodeStore(tmp_path, manifest(), restart=True) as store:
-        assert store.rows == [row]
-
-
-def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    with (
-        EpisodeStore(tmp_path, manifest()),
-        pytest.raises(ResultsError, match="another run is writing"),
-    ):
-        EpisodeStore(tmp_path, manifest())
-    EpisodeStore(tmp_path, manifest()).close()
-
-
-@pytest.mark.parametrize(
-    "content",
-    ["", "[]", "{}", '{"format": 99}', '{"format": 1, "a": 2}', "[" * 100_000],
-    ids=lambda content: content[:20],
-)
-def test_a_damaged_manifest_is_refused(tmp_path: Path, content: str) -> None:
-    (tmp_path / "manifest.json").write_text(content)
-    with pytest.raises(ResultsError, match=r"manifest\.json is not a manifest"):
-        EpisodeStore(tmp_path, manifest())
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("episodes", "4"),
-        ("methods", "smp"),
-        ("versions", 5),
-        ("versions", {"numpy": 2}),
-        ("cells", []),
-        ("cells", {"Placement_hard": dataclasses.asdict(MEDIUM)}),
-        ("cells", {"Placement_medium": {"task": "Chess", "difficulty": "medium"}}),
-        ("latency", 1.5),
-        ("extra", 1),
-    ],
-)
-def test_a_manifest_of_other_types_is_refused(tmp_path: Path, name: str, value: Any) -> None:
-    EpisodeStore(tmp_path, manifest()).close()
-    path = tmp_path / "manifest.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
-    for read in (lambda: EpisodeStore(tmp_path, manifest()), lambda: read_results(tmp_path)):
-        with pytest.raises(ResultsError, match=r"manifest\.json is not a manifest") as raised:
-            read()
-        assert "\n" not in str(raised.value)
-
-
-def test_no_results_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ResultsError, match="holds no results"):
-        read_results(tmp_path / "nowhere")
 
 
 # What is played
@@ -407,7 +156,7 @@ def test_rows_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     keys = sorted(manifest().episode_keys())
     rows = runner.run(manifest(), tmp_path / "two", jobs=2, player=fake_play)
     here = [fake_play(key) for key in keys]
-    assert without_times(tmp_path / "two", rows) == without_times(tmp_path, here)
+    assert without_times(rows) == without_times(here)
     assert [row.key for row in rows] == keys
 
 
@@ -427,17 +176,18 @@ def reports_threads(key: EpisodeKey) -> EpisodeRow:
 
 def test_a_run_continues_with_the_missing_episodes_only(tmp_path: Path) -> None:
     runner.run(manifest(2), tmp_path, player=fake_play)
-    before = (tmp_path / "episodes.jsonl").read_bytes()
+    before = read_results(tmp_path)[1]
     seen: list[tuple[int, int]] = []
     rows = runner.run(
         manifest(4), tmp_path, player=fake_play, on_progress=lambda *count: seen.append(count)
     )
     assert seen[0] == (4, 8)
     assert seen[-1] == (8, 8)
-    assert (tmp_path / "episodes.jsonl").read_bytes().startswith(before)
+    # Their times tell them from rows that were played again.
+    assert read_results(tmp_path)[1][: len(before)] == before
     # One worker writes the rows that two do, and this process.
     here = [fake_play(key) for key in sorted(manifest(4).episode_keys())]
-    assert without_times(tmp_path, rows) == without_times(tmp_path, here)
+    assert without_times(rows) == without_times(here)
     runner.run(manifest(4), tmp_path, player=is_killed_at_seed_two)
 
 
@@ -474,7 +224,7 @@ from pathlib import Path
 from smp_gym.datasets.frozen import load_episodes
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.options import run_command
-from test_benchmark import manifest, slow_play
+from fake_episodes import manifest, slow_play
 
 def main():
     runner.run(manifest(40), Path({out!r}), jobs=1, player=slow_play)
@@ -484,25 +234,27 @@ if __name__ == "__main__":
 """
 
 
-def slow_play(key: EpisodeKey) -> EpisodeRow:
-    time.sleep(0.3)
-    return fake_play(key)
-
-
 def test_ctrl_c_leaves_a_folder_that_can_be_continued(tmp_path: Path) -> None:
     script = tmp_path / "slow.py"
     out = tmp_path / "out"
     paths = [str(Path(__file__).parent), str(Path(__file__).parents[3])]
     script.write_text(SLOW_RUN.format(paths=paths, out=str(out)))
     process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
-    rows = out / "episodes.jsonl"
-    _wait_until(lambda: rows.exists() and rows.stat().st_size > 0, 240.0)
+    _wait_until(lambda: _begun(out), 240.0)
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(timeout=30) == 130
     kept = read_results(out)[1]
     assert 1 <= len(kept) < 80
     with EpisodeStore(out, manifest(40)) as store:
         assert len(store.missing(manifest(40).episode_keys())) == 80 - len(kept)
+
+
+def _begun(out: Path) -> bool:
+    """Return whether a run has written a row; looking at it does not disturb it."""
+    try:
+        return bool(read_results(out)[1])
+    except ResultsError:
+        return False
 
 
 def _wait_until(condition: Callable[[], bool], seconds: float) -> None:
@@ -592,7 +344,9 @@ def test_halves_of_a_frozen_list_are_summarised_apart(tmp_path: Path, lists: Pat
         console.print(*tables(summary))
     for text in ("frozen list", "witness half", "placed half"):
         assert text in shown.get()
-    assert {row["half"] for row in without_times(tmp_path, rows)} == {"witness", "placed"}
+    write_csv(tmp_path / "rows.csv", rows)
+    with (tmp_path / "rows.csv").open() as file:
+        assert {row["half"] for row in csv.DictReader(file)} == {"witness", "placed"}
     drawn = [fake_play(key) for key in manifest(2).episode_keys()]
     assert all(g["halves"] == {} for g in summarise(manifest(2), drawn)["groups"])
 
@@ -645,13 +399,18 @@ def test_bad_options_are_answered_with_what_exists(
         ("run", "--methods", "promp", "--episodes", "1", "--out", "{}/file/below"),
         ("draw", "--out", "{}/file/below"),
         ("show", "{}/damaged"),
+        ("show", "{}/torn"),
+        ("export", "{}/torn"),
+        ("import", "{}/torn", "--out", "{}/new"),
     ],
 )
 def test_an_error_of_the_system_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
 ) -> None:
     (tmp_path / "file").touch()
-    (tmp_path / "damaged/manifest.json").mkdir(parents=True)
+    (tmp_path / "damaged/results.sqlite").mkdir(parents=True)
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn/results.sqlite").write_bytes(b"SQLite format 3" + bytes(100))
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(SystemExit) as ended:
         app([argument.format(tmp_path) for argument in arguments])

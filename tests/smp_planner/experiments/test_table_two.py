@@ -2,6 +2,8 @@
 
 import csv
 import json
+import sqlite3
+from contextlib import closing
 
 import gymnasium
 import numpy as np
@@ -14,7 +16,7 @@ from smp_gym.rollout import play
 from smp_gym.scene import TASKS
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.metrics import Metrics
-from smp_planner.benchmark.results_folder import ResultsError, ResultsFolder, parse_row, row_line
+from smp_planner.benchmark.results_folder import RESULTS, ResultsError
 from smp_planner.experiments.controls.posed_scenes import posed
 from smp_planner.experiments.table_two import repetitions, running
 from smp_planner.experiments.table_two.figure import draw_table
@@ -101,17 +103,10 @@ def test_the_first_of_all_comes_before_the_second_of_any():
     assert len(set(keys)) == len(keys)
 
 
-def test_a_row_survives_json(rows):
-    for row in rows[:12]:
-        assert parse_row(RepetitionRow, row_line(row)) == row
-
-
 def test_a_run_goes_on_where_it_was_cut(tmp_path, inline):
     keys = running.keys_of(("Placement",), ("floor", "smp"), 3)
     seen: list[tuple[int, int]] = []
     running.run(keys[:3], tmp_path, player=fake_repetition)
-    with (tmp_path / "repetitions.jsonl").open("a") as file:
-        file.write('{"repetition": 9, "ta')
     running.run(
         keys,
         tmp_path,
@@ -128,8 +123,8 @@ def test_a_run_goes_on_where_it_was_cut(tmp_path, inline):
 def test_a_folder_of_other_code_is_refused(tmp_path, inline):
     keys = running.keys_of(("Placement",), ("floor",), 1)
     running.run(keys, tmp_path, player=fake_repetition)
-    manifest = json.loads((tmp_path / "manifest.json").read_text())
-    (tmp_path / "manifest.json").write_text(json.dumps({**manifest, "code": "0" * 16}))
+    with closing(sqlite3.connect(tmp_path / RESULTS)) as database, database:
+        database.execute("UPDATE manifest SET value = '\"0\"' WHERE entry = 'code'")
     with pytest.raises(ResultsError, match="code"):
         running.run(keys, tmp_path, player=fake_repetition)
 
@@ -137,26 +132,19 @@ def test_a_folder_of_other_code_is_refused(tmp_path, inline):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"repetition": 1', '"repetition": 0', "twice"),
-        ('"method": "smp"', '"method": "spm"', "does not belong"),
-        ('"modes": ', '"modes": 0.', "modes: "),
-        ('"frechet": ', '"frechet": "', "Invalid JSON"),
-        ('"wasserstein": ', '"wasserstein": 1.0, "wasserstein": ', "doubled"),
+        ('"frechet": ', '"frechet": "', "delimiter"),
+        ('"wasserstein": ', '"wasserstein": 1.0, "wasserstein": ', "all: is kept as"),
+        ('"mmd": ', '"colour": ', "all.mmd: "),
     ],
 )
-def test_a_damaged_row_is_named(tmp_path, old, new, message):
-    lines = [row_line(fake_repetition(RepetitionKey(k, "Placement", "smp"))) for k in (0, 1)]
-    lines[1] = lines[1].replace(old.encode(), new.encode(), 1)
-    (tmp_path / "repetitions.jsonl").write_bytes(b"".join(lines))
-    with pytest.raises(ResultsError, match=f"repetitions.jsonl, line 2.*{message}"):
+def test_a_damaged_row_is_named(tmp_path, inline, old, new, message):
+    keys = running.keys_of(("Placement",), ("smp",), 2)
+    running.run(keys, tmp_path, player=fake_repetition)
+    with closing(sqlite3.connect(tmp_path / RESULTS)) as database, database:
+        changed = 'UPDATE repetitions SET "all" = replace("all", ?, ?) WHERE repetition = 1'
+        database.execute(changed, (old, new))
+    with pytest.raises(ResultsError, match=f"{RESULTS} is damaged: row 2.*{message}"):
         running.read(tmp_path)
-
-
-def test_a_folder_in_use_is_refused(tmp_path):
-    first = ResultsFolder(tmp_path, "rows.jsonl", RepetitionRow, {}, belongs=bool)
-    with pytest.raises(ResultsError, match="another run"):
-        ResultsFolder(tmp_path, "rows.jsonl", RepetitionRow, {}, belongs=bool)
-    first.close()
 
 
 def test_estimates_are_those_of_scipy(rows):
