@@ -1,0 +1,163 @@
+"""Scores of methods over tasks and runs: interquartile mean, profile, probability of improvement.
+
+Scores are given by task, an array (N,) of one number for each run, which is an episode or a
+training seed; greater is better, and a score may be infinite. Intervals are percentiles of a
+bootstrap that draws the runs of each task anew and keeps the tasks.
+
+Source: Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from smp_gym.arrays import FloatArray, IntArray
+from smp_planner.benchmark.statistics import CONFIDENCE, Estimate
+
+__all__ = [
+    "Scores",
+    "improvement_probability",
+    "interquartile_mean",
+    "performance_profile",
+]
+
+RESAMPLES = 2000
+"""Draws of the bootstrap."""
+
+_SEED = 0
+_MIDDLE = 0.25
+
+Scores = Mapping[str, ArrayLike]
+"""Scores (N,) by the name of the task."""
+
+
+def _checked(name: str, scores: Scores, finite: bool = False) -> dict[str, FloatArray]:
+    if not scores:
+        raise ValueError(f"{name} must hold the scores of a task at least, got none")
+    checked = {task: np.asarray(values, np.float64) for task, values in scores.items()}
+    for task, values in checked.items():
+        if values.ndim != 1 or not len(values):
+            raise ValueError(f"{name}[{task!r}] must have shape (N >= 1,), got {values.shape}")
+        if np.isnan(values).any() or (finite and not np.isfinite(values).all()):
+            raise ValueError(f"{name}[{task!r}] must be {'finite' if finite else 'numbers'}")
+    return checked
+
+
+def _interval(draws: FloatArray) -> FloatArray:
+    """Return the percentiles of draws (B, ...) that bound the interval, (2, ...)."""
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    bounds: FloatArray = np.percentile(draws, [tail, 100.0 - tail], axis=0)
+    return bounds
+
+
+def _bootstrapped(
+    value: float, count: int, draw: Callable[[np.random.Generator], float]
+) -> Estimate:
+    rng = np.random.default_rng(_SEED)
+    low, high = _interval(np.array([draw(rng) for _ in range(RESAMPLES)]))
+    return {"count": count, "value": value, "low": float(low), "high": float(high)}
+
+
+def _drawn(rng: np.random.Generator, count: int) -> IntArray:
+    """Return runs (N,), drawn with replacement."""
+    drawn: IntArray = rng.integers(count, size=count)
+    return drawn
+
+
+def interquartile_mean(scores: Scores) -> Estimate:
+    """Return the mean of the middle half of the scores of all runs and tasks together.
+
+    Of n scores, the n / 4 least and greatest are left out, rounded down.
+
+    Args:
+        scores: finite.
+
+    Raises:
+        ValueError: no task, a task without a run, or scores that are not finite.
+    """
+    given = list(_checked("scores", scores, finite=True).values())
+
+    def middle(values: Sequence[FloatArray]) -> float:
+        together = np.sort(np.concatenate(values))
+        cut = int(_MIDDLE * len(together))
+        return float(together[cut : len(together) - cut].mean())
+
+    return _bootstrapped(
+        middle(given),
+        sum(map(len, given)),
+        lambda rng: middle([values[_drawn(rng, len(values))] for values in given]),
+    )
+
+
+def performance_profile(scores: Scores, thresholds: ArrayLike) -> dict[str, FloatArray]:
+    """Return the share of runs whose score is at least each threshold; tasks count equally.
+
+    Args:
+        scores: may be infinite.
+        thresholds: (K,).
+
+    Returns:
+        ``value``, ``low`` and ``high``, each (K,), the interval pointwise.
+
+    Raises:
+        ValueError: no task, a task without a run, or scores that are no numbers.
+    """
+    at = np.asarray(thresholds, np.float64)
+    reached = [values[:, None] >= at for values in _checked("scores", scores).values()]
+    rng = np.random.default_rng(_SEED)
+    draws = np.zeros((RESAMPLES, len(at)))
+    for runs in reached:
+        # How often each run is drawn says as much as which are, and needs no copies of them.
+        times = rng.multinomial(len(runs), np.full(len(runs), 1.0 / len(runs)), size=RESAMPLES)
+        draws += times @ runs / (len(runs) * len(reached))
+    low, high = _interval(draws)
+    return {
+        "value": np.mean([runs.mean(axis=0) for runs in reached], axis=0),
+        "low": low,
+        "high": high,
+    }
+
+
+def improvement_probability(first: Scores, second: Scores, *, paired: bool = False) -> Estimate:
+    """Return the probability that a run of the first scores more than one of the second.
+
+    It is the mean over the tasks; equal scores count half. Without pairs it is the statistic of
+    Mann and Whitney, over the number of pairs of runs.
+
+    Args:
+        first: scores by task, may be infinite.
+        second: of the same tasks.
+        paired: whether runs of equal index are of one episode; these are then compared, and drawn
+            together.
+
+    Returns:
+        An estimate; its count is of the runs of the first.
+
+    Raises:
+        ValueError: tasks differ, with `paired` also numbers of runs, or see `performance_profile`.
+    """
+    a, b = _checked("first", first), _checked("second", second)
+    if a.keys() != b.keys():
+        raise ValueError(f"tasks must be the same, got {sorted(a)} and {sorted(b)}")
+    if paired and (task := next((t for t in a if len(a[t]) != len(b[t])), None)):
+        raise ValueError(f"runs must come in pairs, got {len(a[task])}, {len(b[task])} of {task!r}")
+    # Of each task, 1 where the first is greater and ½ where they are equal: (N,) or (N, M).
+    wins = []
+    for task in a:
+        one, other = a[task], b[task]
+        if not paired:
+            one, other = one[:, None], other[None]
+        wins.append((one > other) + 0.5 * (one == other))
+
+    def drawn(rng: np.random.Generator) -> float:
+        means = []
+        for task in wins:
+            rows = task[_drawn(rng, len(task))]
+            means.append(rows.mean() if paired else rows[:, _drawn(rng, task.shape[1])].mean())
+        return float(np.mean(means))
+
+    value = float(np.mean([task.mean() for task in wins]))
+    return _bootstrapped(value, sum(map(len, wins)), drawn)
