@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from smp_planner.benchmark.comparison_command import compare
 from smp_planner.benchmark.options import (
     CommandLine,
     Interrupted,
@@ -399,6 +400,9 @@ def show(
     total = len(manifest.episode_keys())
     if len(rows) < total:
         console.print(f"unfinished: {len(rows)} of {total} episodes")
+
+
+app.command()(compare)
 
 
 @app.command()
