@@ -22,6 +22,7 @@ from smp_planner.benchmark.options import (
     progress_bar,
     split_names,
 )
+from smp_planner.benchmark.report_command import report
 
 if TYPE_CHECKING:
     from smp_gym.suites import Cell
@@ -403,6 +404,7 @@ def show(
 
 
 app.command()(compare)
+app.command()(report)
 
 
 @app.command()
