@@ -68,7 +68,7 @@ class JoinedResults:
         cells: of all of them, in order of appearance.
         methods: of all of them, in order of appearance. A method that two folders hold of the same
             episodes, or of other settings, is two methods, ``NAME@FOLDER``.
-        rows: by method and episode.
+        rows: by method and episode, in the order of the cells and then of seeds.
         origins: number in `sources` of the folder of each row.
     """
 
@@ -175,7 +175,11 @@ def join_results(folders: Sequence[Path]) -> JoinedResults:
                 joined.setdefault(label, {}).update(own)
                 origins.setdefault(label, {}).update(dict.fromkeys(own, number))
     cells = tuple(dict.fromkeys(cell for manifest, _ in read for cell in manifest.cells))
-    ordered = {label: dict(sorted(rows.items())) for label, rows in joined.items()}
+    order = {cell: number for number, cell in enumerate(cells)}
+    ordered = {
+        label: dict(sorted(rows.items(), key=lambda item: (order[item[0].cell], *item[0][1:])))
+        for label, rows in joined.items()
+    }
     return JoinedResults(sources, cells, tuple(joined), ordered, origins)
 
 

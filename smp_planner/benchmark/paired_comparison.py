@@ -218,8 +218,6 @@ def compare_methods(results: JoinedResults, first: str, second: str) -> list[Com
     episodes = results.common((first, second))
     if not episodes:
         raise ResultsError(f"{first!r} and {second!r} have played no episode in common")
-    order = {cell: number for number, cell in enumerate(results.cells)}
-    episodes.sort(key=lambda episode: order[episode.cell])
     comparisons: list[Comparison] = []
     partitions: list[set[frozenset[Episode]]] = []
     for level in LEVELS:

@@ -100,8 +100,8 @@ def _third(findings: Findings) -> str:
         return "How it compares with others cannot be told from these results."
     open_ = [p.comparison for p in findings.pairs if p.comparison.verdict == CANNOT_TELL]
     least = (
-        f"with {count} episodes, a difference of fewer than {least_certain(len(findings.pairs))} "
-        "is never beyond chance"
+        f"a difference of fewer than {least_certain(len(findings.pairs))} of {count} episodes is "
+        "never beyond chance"
     )
     if not open_:
         return f"No two methods are left undecided, but {least}."

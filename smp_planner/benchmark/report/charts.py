@@ -30,7 +30,7 @@ MARKS = ("circle", "square", "triangle", "diamond", "fall", "cross", "ring", "bo
 
 _WIDTH, _HEIGHT = 340.0, 230.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 36.0, 10.0, 12.0, 36.0
-_BAR_WIDTH, _BAR_HEIGHT = 132.0, 16.0
+_BAR_WIDTH, _BAR_HEIGHT = 104.0, 16.0
 _COLOURS = 10
 _SIZE = 4.2
 _SHORTEST = 1e-3

@@ -325,10 +325,9 @@ def _by_cell(
     results: JoinedResults, method: str, episodes: Sequence[Episode]
 ) -> dict[str, list[float]]:
     """Return the scores of a method by cell: the time to completion, negative."""
-    ordered = sorted(episodes)
     return {
         cell.name: [-completion_time(results.rows[method][e]) for e in group]
-        for cell, group in groupby(ordered, key=lambda episode: episode.cell)
+        for cell, group in groupby(episodes, key=lambda episode: episode.cell)
     }
 
 
@@ -365,9 +364,6 @@ def _profiles(
 
 
 def _failures(results: JoinedResults, method: str) -> list[Failure]:
-    order = {cell: number for number, cell in enumerate(results.cells)}
-    failed = [(e, row) for e, row in results.rows[method].items() if not row.success]
-    failed.sort(key=lambda pair: (order[pair[0].cell], pair[0]))
     return [
         Failure(
             row,
@@ -377,7 +373,8 @@ def _failures(results: JoinedResults, method: str) -> list[Failure]:
             motion_time(row),
             replay_command(row, results.source(method, episode)),
         )
-        for episode, row in failed
+        for episode, row in results.rows[method].items()
+        if not row.success
     ]
 
 

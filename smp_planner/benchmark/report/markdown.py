@@ -68,8 +68,8 @@ def _pairs(findings: Findings) -> str:
         rows.append([c.first, c.second, alone, f"{value} ({low} to {high})", c.verdict])
     header = ["first", "second", "only one solves", "difference, points", "the first is"]
     note = (
-        f"Differences, {base(findings)}, with Newcombe’s intervals for pairs; verdicts of the exact "
-        "test of McNemar, corrected by Holm’s method:"
+        f"Differences, {base(findings)}, with Newcombe’s intervals for pairs; verdicts of the "
+        "exact test of McNemar, corrected by Holm’s method:"
     )
     return f"{note}\n\n{_table(header, rows, 2)}"
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from itertools import groupby
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smp_gym.scene import DIFFICULTIES
+from smp_gym.scene import DIFFICULTIES, FAMILIES
 from smp_gym.tasks.registry import task_definition
 from smp_planner.benchmark.manifest import Manifest
 from smp_planner.benchmark.report.answer import answer, least_certain, listed, points, title
@@ -22,7 +22,7 @@ from smp_planner.benchmark.report.charts import (
     profile_chart,
     time_chart,
 )
-from smp_planner.benchmark.report.findings import Findings, cell_title
+from smp_planner.benchmark.report.findings import CellFindings, Findings, cell_title
 from smp_planner.benchmark.statistics import Estimate
 
 __all__ = ["Media", "Picture", "base", "origin", "page", "span"]
@@ -102,48 +102,59 @@ def page(findings: Findings, media: Media | None = None) -> str:
     for method in findings.methods:
         for cause, times in method.causes.items():
             causes[cause] = causes.get(cause, 0) + times
-    cells = sorted(findings.cells, key=lambda found: (found.suite, _order(found.cell.difficulty)))
+    tasks = list(dict.fromkeys(found.cell.task for found in findings.cells))
     suites = [
-        (suite, sorted(group, key=lambda f: (f.cell.task, f.cell.family)))
-        for suite, group in groupby(cells, key=lambda found: found.suite)
+        (suite, [found for found in _ordered(findings.cells, tasks) if found.suite == suite])
+        for suite in dict.fromkeys(found.suite for found in findings.cells)
     ]
-    return (
-        _environment()
-        .get_template("page.html.j2")
-        .render(
-            findings=findings,
-            media=media or Media(),
-            title=title(findings),
-            subtitle=_subtitle(findings),
-            answer=[Markup(_unbroken(sentence)) for sentence in answer(findings)],
-            base=base(findings),
-            causes=sorted(causes, key=lambda cause: -causes[cause]),
-            suites=suites,
-            numbers={method.name: method.number for method in findings.methods},
-            descriptions=_descriptions(findings),
-            tasks=_tasks(findings),
-            least=least_certain(len(findings.pairs)),
-            costs=_COSTS,
-            style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
-            cell_title=cell_title,
-            interval_bar=interval_bar,
-            level_chart=level_chart,
-            mark=mark,
-            number=number,
-            origin=origin,
-            p_value=p_value,
-            profile_chart=profile_chart,
-            span=span,
-            time_chart=time_chart,
-        )
+    template = _environment().get_template("page.html.j2")
+    return template.render(
+        findings=findings,
+        media=media or Media(),
+        title=title(findings),
+        subtitle=_subtitle(findings),
+        answer=[Markup(_unbroken(sentence)) for sentence in answer(findings)],
+        base=base(findings),
+        causes=sorted(causes, key=lambda cause: -causes[cause]),
+        # Of one difficulty, the table of all methods shows the same.
+        levels=[level for level in findings.levels if len(level.difficulties) > 1],
+        suites=suites,
+        numbers={method.name: method.number for method in findings.methods},
+        descriptions=_descriptions(findings),
+        tasks=_tasks(findings),
+        least=least_certain(len(findings.pairs)),
+        costs=_COSTS,
+        style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
+        cell_title=cell_title,
+        interval_bar=interval_bar,
+        level_chart=level_chart,
+        mark=mark,
+        number=number,
+        origin=origin,
+        p_value=p_value,
+        profile_chart=profile_chart,
+        span=span,
+        time_chart=time_chart,
     )
 
 
 _COSTS = "What training a method has cost is not in these rows."
 
 
-def _order(difficulty: str) -> int:
-    return DIFFICULTIES.index(difficulty)
+def _ordered(cells: Sequence[CellFindings], tasks: Sequence[str]) -> list[CellFindings]:
+    """Return cells by task, family, sensing and difficulty, the easiest first."""
+
+    def place(found: CellFindings) -> tuple[int, int, str, float, int]:
+        cell = found.cell
+        return (
+            tasks.index(cell.task),
+            FAMILIES.index(cell.family),
+            cell.sensing,
+            cell.noise,
+            DIFFICULTIES.index(cell.difficulty),
+        )
+
+    return sorted(cells, key=place)
 
 
 def _unbroken(sentence: str) -> str:
@@ -161,7 +172,7 @@ def _subtitle(findings: Findings) -> str:
 def base(findings: Findings) -> str:
     """Return of how many episodes the numbers over all scenes are."""
     if findings.episodes:
-        return f"n = {len(findings.episodes)} episodes of each"
+        return f"n = {len(findings.episodes)} episodes of each method"
     return "each over its own episodes, which differ"
 
 
