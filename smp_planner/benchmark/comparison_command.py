@@ -120,16 +120,22 @@ def _times(comparisons: Sequence[Comparison], first: str, second: str) -> Table:
     for title in (f"{first}: motion", f"{second}: motion", "difference"):
         table.add_column(title, justify="right")
     for each, last in _with_ends(comparisons):
-        motion = each.motion
+        if (times := each.times) is None:
+            continue
+        motion = ["–"] * 3
+        if times.motion is not None:
+            motion = [
+                f"{times.motion.first:.2f}",
+                f"{times.motion.second:.2f}",
+                _interval(times.motion.difference, 1.0, "+.2f"),
+            ]
         table.add_row(
             each.name,
             str(each.counts.count),
-            _solve(each.first_solve),
-            _solve(each.second_solve),
+            _solve(times.first_solve),
+            _solve(times.second_solve),
             str(each.counts.both),
-            "–" if motion is None else f"{motion.first:.2f}",
-            "–" if motion is None else f"{motion.second:.2f}",
-            "–" if motion is None else _interval(motion.difference, 1.0, "+.2f"),
+            *motion,
             end_section=last,
         )
     return table

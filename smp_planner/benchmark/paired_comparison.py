@@ -35,6 +35,7 @@ __all__ = [
     "Comparison",
     "MotionTimes",
     "SolveTimes",
+    "Times",
     "compare_methods",
     "compare_pairs",
 ]
@@ -98,6 +99,27 @@ class MotionTimes:
 
 
 @dataclass(frozen=True)
+class Times:
+    """Times of two methods on the same episodes.
+
+    Attributes:
+        first_solve: times of planning of the first method.
+        second_solve: of the second.
+        motion: times of motion; None where no episode is solved by both.
+    """
+
+    first_solve: SolveTimes
+    second_solve: SolveTimes
+    motion: MotionTimes | None
+
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[EpisodeRow, EpisodeRow]]) -> Times:
+        """Return the times of pairs of rows, at least one."""
+        first, second = zip(*pairs, strict=True)
+        return cls(SolveTimes.of(first), SolveTimes.of(second), MotionTimes.of(pairs))
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Two methods on the same episodes.
 
@@ -114,9 +136,7 @@ class Comparison:
         corrected: the same, corrected by Holm's method for all comparisons made together.
         verdict: on the first method; one of `BETTER`, `WORSE` and `CANNOT_TELL`, the last where
             the corrected p-value is not below 1 - `CONFIDENCE`.
-        first_solve: times of planning of the first.
-        second_solve: of the second.
-        motion: times of motion; None where no episode is solved by both.
+        times: of both; None where only success is compared.
     """
 
     level: str
@@ -130,9 +150,7 @@ class Comparison:
     p_value: float
     corrected: float
     verdict: str
-    first_solve: SolveTimes
-    second_solve: SolveTimes
-    motion: MotionTimes | None
+    times: Times | None = None
 
 
 def _compare(
@@ -142,6 +160,7 @@ def _compare(
     episodes: Sequence[Episode],
     level: str,
     name: str,
+    timed: bool = False,
 ) -> Comparison:
     """Return the comparison on some episodes, not corrected and without a verdict yet."""
     pairs = [(results.rows[first][e], results.rows[second][e]) for e in episodes]
@@ -159,9 +178,7 @@ def _compare(
         p_value,
         p_value,
         CANNOT_TELL,
-        SolveTimes.of([a for a, _ in pairs]),
-        SolveTimes.of([b for _, b in pairs]),
-        MotionTimes.of(pairs),
+        Times.of(pairs) if timed else None,
     )
 
 
@@ -227,7 +244,7 @@ def compare_methods(results: JoinedResults, first: str, second: str) -> list[Com
             partitions.append(partition)
             comparisons += _judged(
                 [
-                    _compare(results, first, second, group, level, name)
+                    _compare(results, first, second, group, level, name, timed=True)
                     for name, group in groups.items()
                 ]
             )
@@ -237,7 +254,7 @@ def compare_methods(results: JoinedResults, first: str, second: str) -> list[Com
 def compare_pairs(
     results: JoinedResults, methods: Sequence[str], episodes: Sequence[Episode], level: str = "all"
 ) -> list[Comparison]:
-    """Return the comparisons of all pairs of methods on some episodes, corrected together.
+    """Return the success of all pairs of methods on some episodes, corrected together.
 
     Args:
         results: of the methods.

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from smp_planner.benchmark.options import one_of, split_names
+from smp_planner.benchmark.options import Jobs, one_of, split_names
 
 __all__ = ["report"]
 
@@ -32,6 +32,23 @@ def report(
             metavar="NAMES", help="Methods that it is of, separated by commas. Default: all."
         ),
     ] = "",
+    pictures: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Draw the particle sets of all methods on the first N scenes, played again.",
+        ),
+    ] = 0,
+    videos: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Film the first success and the first N failures of each method, played again.",
+        ),
+    ] = 0,
+    jobs: Jobs = 1,
 ) -> None:
     """Write what results say: the answer, tables with intervals, charts, failures.
 
@@ -45,10 +62,19 @@ def report(
     from smp_planner.benchmark.joined_results import join_results
     from smp_planner.benchmark.report.findings import find
     from smp_planner.benchmark.report.markdown import markdown
+    from smp_planner.benchmark.report.media import take_media
     from smp_planner.benchmark.report.page import page
 
-    findings = find(join_results(folders), split_names(methods))
-    text = page(findings) if form == "html" else markdown(findings)
+    results = join_results(folders)
+    findings = find(results, split_names(methods))
+    if form == "markdown":
+        if pictures or videos:
+            raise typer.BadParameter("pictures and videos are of the format html")
+        text = markdown(findings)
+    else:
+        with Console(stderr=True).status("drawing pictures and videos"):
+            taken = take_media(findings, results, pictures=pictures, videos=videos, jobs=jobs)
+        text = page(findings, taken)
     if out is None:
         typer.echo(text, nl=False)
         return

@@ -115,7 +115,7 @@ class _Chart:
         """Return where a point of the axes is, in pixels; within the frame."""
         (x0, x1), (y0, y1) = self.x, self.y
         if self.logarithmic:
-            x, x0, x1 = math.log(x), math.log(x0), math.log(x1)
+            x, x0, x1 = math.log(max(x, x0)), math.log(x0), math.log(x1)
         across, up = (x - x0) / (x1 - x0), (y - y0) / (y1 - y0)
         return (
             _LEFT + min(max(across, 0.0), 1.0) * (_WIDTH - _LEFT - _RIGHT),

@@ -45,6 +45,7 @@ __all__ = [
     "Pair",
     "Profiles",
     "cell_title",
+    "contact_in_words",
     "find",
     "replay_command",
 ]
@@ -369,7 +370,7 @@ def _failures(results: JoinedResults, method: str) -> list[Failure]:
             row,
             cell_title(episode.cell),
             row.cause or "unfinished",
-            _contact_in_words(row.contact),
+            contact_in_words(row.contact),
             motion_time(row),
             replay_command(row, results.source(method, episode)),
         )
@@ -378,14 +379,14 @@ def _failures(results: JoinedResults, method: str) -> list[Failure]:
     ]
 
 
-def _contact_in_words(contact: str) -> str:
+def contact_in_words(contact: str) -> str:
     """Return a pair of parts without the name of the arm's model and with spaces."""
     return re.sub(r"\bj2s6s200_|\blink_(?=finger)", "", contact).replace("_", " ")
 
 
 def _kinds_of_contact(contact: str) -> str:
     """Return a pair of parts with all obstacles as one, the arm's part first."""
-    parts = [re.sub(r"^(obstacle) \d+$", r"\1", p) for p in _contact_in_words(contact).split(" – ")]
+    parts = [re.sub(r"^(obstacle) \d+$", r"\1", p) for p in contact_in_words(contact).split(" – ")]
     return " – ".join(sorted(parts, key=lambda part: part == "obstacle"))
 
 

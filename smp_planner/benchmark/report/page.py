@@ -73,11 +73,13 @@ class Media:
         pictures: of each episode, under its name.
         videos: of successes and failures.
         per_method: how many episodes there are pictures of.
+        other_code: whether they were played again by another version of the code than the rows.
     """
 
     pictures: tuple[tuple[str, tuple[Picture, ...]], ...] = ()
     videos: tuple[Picture, ...] = ()
     per_method: int = 0
+    other_code: bool = False
 
 
 @cache

@@ -54,8 +54,11 @@ def test_comparisons_count_what_the_rows_hold(hard: Path) -> None:
             for row in _table()
             if row["method"] == "rrt_connect" and task in ("", row["task"])
         ]
-        solve = (each.second_solve.median, each.second_solve.p75, each.second_solve.p98)
-        assert solve == pytest.approx(tuple(np.percentile(times, [50, 75, 98])))
+        assert each.times is not None
+        solve = each.times.second_solve
+        assert (solve.median, solve.p75, solve.p98) == pytest.approx(
+            tuple(np.percentile(times, [50, 75, 98]))
+        )
     assert [each.verdict for each in comparisons] == [*["cannot tell"] * 4, "better"]
 
 
@@ -69,10 +72,12 @@ def test_motion_is_compared_where_both_succeed(hard: Path) -> None:
     }  # fmt: skip
     both = steps["smp"].keys() & steps["rrt_connect"].keys()
     differences = [(steps["smp"][s] - steps["rrt_connect"][s]) / 20 for s in both]
-    assert task.motion is not None
-    assert task.motion.difference["count"] == len(both) == 5
-    assert task.motion.difference["value"] == pytest.approx(np.mean(differences))
-    assert task.motion.first == pytest.approx(np.mean([steps["smp"][s] for s in both]) / 20)
+    assert task.times is not None
+    motion = task.times.motion
+    assert motion is not None
+    assert motion.difference["count"] == len(both) == 5
+    assert motion.difference["value"] == pytest.approx(np.mean(differences))
+    assert motion.first == pytest.approx(np.mean([steps["smp"][s] for s in both]) / 20)
 
 
 def test_the_other_order_has_the_other_verdict(hard: Path) -> None:
@@ -108,7 +113,7 @@ def test_folders_of_the_same_episodes_are_joined(hard: Path, tmp_path: Path) -> 
     results = join_results([tmp_path / "one", tmp_path / "two"])
     (together,) = compare_methods(results, "smp", "rrt_connect")
     alone = compare_methods(join_results([hard]), "smp", "rrt_connect")[3]
-    assert (together.counts, together.motion) == (alone.counts, alone.motion)
+    assert (together.counts, together.times) == (alone.counts, alone.times)
 
 
 def test_two_versions_of_a_method_are_told_apart_by_their_folders(tmp_path: Path) -> None:
