@@ -64,14 +64,16 @@ def _second(findings: Findings) -> str:
         [f"on {each.name} {each.second} is better, by {_reach(each, -1)}" for each in worse]
     )
     if better:
-        named = _some([f"{each.second} by {_reach(each)}" for each in better])
+        named = listed(_first_of([f"{each.second} by {_reach(each)}" for each in better]))
         sentence = f"Compared episode by episode, {best} is better than {named}{_mainly(findings)}"
     else:
         others = findings.methods[1].name if len(findings.methods) == 2 else "another method"
         sentence = f"No difference between {best} and {others} is beyond chance"
         certain = [p.comparison for p in findings.pairs if p.comparison.verdict == BETTER]
         if certain:
-            named = _some([f"{each.first} is better than {each.second}" for each in certain])
+            named = listed(
+                _first_of([f"{each.first} is better than {each.second}" for each in certain])
+            )
             sentence += f", though {named}"
     return f"{sentence}{'; but ' + exceptions if worse else ''}."
 
@@ -106,8 +108,8 @@ def _third(findings: Findings) -> str:
     if not open_:
         return f"No two methods are left undecided, but {least}."
     # Those of the best method come first.
-    named = _some([f"{each.first} or {each.second} ({_between(each)})" for each in open_], "nor")
-    return f"It cannot be told which is better, {named}: {least}."
+    named = [f"{each.first} and {each.second} ({_between(each)})" for each in open_]
+    return f"Which is better cannot be told of {'; '.join(_first_of(named))}: {least}."
 
 
 def least_certain(comparisons: int) -> int:
@@ -140,11 +142,10 @@ def _points(comparison: Comparison, sign: int) -> tuple[float, float, float]:
     return value, min(low, high), max(low, high)
 
 
-def _some(named: Sequence[str], last: str = "and") -> str:
-    """Return the first of names as they stand in a sentence, and how many more there are."""
+def _first_of(named: Sequence[str]) -> list[str]:
+    """Return the first of names, and how many more there are."""
     more = len(named) - _NAMED
-    shown = [*named[:_NAMED], *([f"{number_word(more)} more"] if more > 0 else [])]
-    return listed(shown, last)
+    return [*named[:_NAMED], *([f"{number_word(more)} more"] if more > 0 else [])]
 
 
 def _all(count: int) -> str:
@@ -170,12 +171,12 @@ def number_word(number: int) -> str:
     return _NUMBERS[number] if number < len(_NUMBERS) else str(number)
 
 
-def listed(names: Sequence[str], last: str = "and") -> str:
+def listed(names: Sequence[str]) -> str:
     """Return names as they stand in a sentence."""
     if not names:
         return ""
     *before, end = names
-    return f"{', '.join(before)} {last} {end}" if before else end
+    return f"{', '.join(before)} and {end}" if before else end
 
 
 def title(findings: Findings) -> str:

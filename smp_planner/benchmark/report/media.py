@@ -47,7 +47,7 @@ _CLASSES = ("#2f6db5", "#2e8b57", "#8e4fa8", "#1b9aaa", "#b8860b", "#c2557a")
 """Colours of the homotopy classes, the largest first."""
 
 _OTHER_CLASS, _NOT_GOOD = "#7d8590", "#c9ccd1"
-_INCHES, _DOTS = (6.4, 4.8), 110
+_INCHES, _DOTS = (5.4, 5.0), 130
 _QUALITY = 82
 _BORDER, _RED = 8, (196, 43, 43)
 
