@@ -9,7 +9,7 @@ Source: Agarwal et al. 2021, "Deep reinforcement learning at the edge of the sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,37 +34,38 @@ Scores = Mapping[str, ArrayLike]
 """Scores (N,) by the name of the task."""
 
 
-def _checked(name: str, scores: Scores, finite: bool = False) -> dict[str, FloatArray]:
+def _checked(name: str, scores: Scores) -> dict[str, FloatArray]:
     if not scores:
         raise ValueError(f"{name} must hold the scores of a task at least, got none")
     checked = {task: np.asarray(values, np.float64) for task, values in scores.items()}
     for task, values in checked.items():
         if values.ndim != 1 or not len(values):
             raise ValueError(f"{name}[{task!r}] must have shape (N >= 1,), got {values.shape}")
-        if np.isnan(values).any() or (finite and not np.isfinite(values).all()):
-            raise ValueError(f"{name}[{task!r}] must be {'finite' if finite else 'numbers'}")
+        if np.isnan(values).any():
+            raise ValueError(f"{name}[{task!r}] must be numbers, got {values}")
     return checked
 
 
 def _interval(draws: FloatArray) -> FloatArray:
     """Return the percentiles of draws (B, ...) that bound the interval, (2, ...)."""
     tail = 50.0 * (1.0 - CONFIDENCE)
-    bounds: FloatArray = np.percentile(draws, [tail, 100.0 - tail], axis=0)
+    # Between an infinite draw and another one there is nothing to interpolate.
+    bounds: FloatArray = np.percentile(draws, [tail, 100.0 - tail], axis=0, method="inverted_cdf")
     return bounds
 
 
-def _bootstrapped(
-    value: float, count: int, draw: Callable[[np.random.Generator], float]
-) -> Estimate:
-    rng = np.random.default_rng(_SEED)
-    low, high = _interval(np.array([draw(rng) for _ in range(RESAMPLES)]))
+def _estimate(value: float, count: int, draws: FloatArray) -> Estimate:
+    low, high = _interval(draws)
     return {"count": count, "value": value, "low": float(low), "high": float(high)}
 
 
 def _drawn(rng: np.random.Generator, count: int) -> IntArray:
-    """Return runs (N,), drawn with replacement."""
-    drawn: IntArray = rng.integers(count, size=count)
-    return drawn
+    """Return how often each of N runs is drawn, with replacement, by each resample, (B, N).
+
+    It says as much as which runs are drawn, and needs no copies of them.
+    """
+    times: IntArray = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
+    return times
 
 
 def interquartile_mean(scores: Scores) -> Estimate:
@@ -73,23 +74,23 @@ def interquartile_mean(scores: Scores) -> Estimate:
     Of n scores, the n / 4 least and greatest are left out, rounded down.
 
     Args:
-        scores: finite.
+        scores: may be infinite; so is the mean if the middle half has one that is.
 
     Raises:
-        ValueError: no task, a task without a run, or scores that are not finite.
+        ValueError: no task, a task without a run, or scores that are no numbers.
     """
-    given = list(_checked("scores", scores, finite=True).values())
-
-    def middle(values: Sequence[FloatArray]) -> float:
-        together = np.sort(np.concatenate(values))
-        cut = int(_MIDDLE * len(together))
-        return float(together[cut : len(together) - cut].mean())
-
-    return _bootstrapped(
-        middle(given),
-        sum(map(len, given)),
-        lambda rng: middle([values[_drawn(rng, len(values))] for values in given]),
-    )
+    given = list(_checked("scores", scores).values())
+    together = np.concatenate(given)
+    order = np.argsort(together)
+    cut = int(_MIDDLE * len(together))
+    rng = np.random.default_rng(_SEED)
+    times = np.concatenate([_drawn(rng, len(values)) for values in given], axis=1)
+    draws = [
+        np.repeat(together[order], drawn)[cut : len(together) - cut].mean()
+        for drawn in times[:, order]
+    ]
+    middle = together[order][cut : len(together) - cut]
+    return _estimate(float(middle.mean()), len(together), np.array(draws))
 
 
 def performance_profile(scores: Scores, thresholds: ArrayLike) -> dict[str, FloatArray]:
@@ -110,9 +111,7 @@ def performance_profile(scores: Scores, thresholds: ArrayLike) -> dict[str, Floa
     rng = np.random.default_rng(_SEED)
     draws = np.zeros((RESAMPLES, len(at)))
     for runs in reached:
-        # How often each run is drawn says as much as which are, and needs no copies of them.
-        times = rng.multinomial(len(runs), np.full(len(runs), 1.0 / len(runs)), size=RESAMPLES)
-        draws += times @ runs / (len(runs) * len(reached))
+        draws += _drawn(rng, len(runs)) @ runs / (len(runs) * len(reached))
     low, high = _interval(draws)
     return {
         "value": np.mean([runs.mean(axis=0) for runs in reached], axis=0),
@@ -144,20 +143,22 @@ def improvement_probability(first: Scores, second: Scores, *, paired: bool = Fal
         raise ValueError(f"tasks must be the same, got {sorted(a)} and {sorted(b)}")
     if paired and (task := next((t for t in a if len(a[t]) != len(b[t])), None)):
         raise ValueError(f"runs must come in pairs, got {len(a[task])}, {len(b[task])} of {task!r}")
-    # Of each task, 1 where the first is greater and ½ where they are equal: (N,) or (N, M).
-    wins = []
+    rng = np.random.default_rng(_SEED)
+    value, draws = 0.0, np.zeros(RESAMPLES)
     for task in a:
         one, other = a[task], b[task]
-        if not paired:
-            one, other = one[:, None], other[None]
-        wins.append((one > other) + 0.5 * (one == other))
+        times = _drawn(rng, len(one))
+        if paired:
+            wins = _wins(one, other)
+            draws += times @ wins / len(one)
+        else:
+            wins = _wins(one[:, None], other[None])
+            draws += ((times @ wins) * _drawn(rng, len(other))).sum(axis=1) / wins.size
+        value += float(wins.mean())
+    return _estimate(value / len(a), sum(map(len, a.values())), draws / len(a))
 
-    def drawn(rng: np.random.Generator) -> float:
-        means = []
-        for task in wins:
-            rows = task[_drawn(rng, len(task))]
-            means.append(rows.mean() if paired else rows[:, _drawn(rng, task.shape[1])].mean())
-        return float(np.mean(means))
 
-    value = float(np.mean([task.mean() for task in wins]))
-    return _bootstrapped(value, sum(map(len, wins)), drawn)
+def _wins(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return 1 where the first score is greater, and ½ where they are equal."""
+    wins: FloatArray = (first > second) + 0.5 * (first == second)
+    return wins

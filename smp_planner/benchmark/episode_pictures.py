@@ -36,7 +36,6 @@ from smp_planner.benchmark.episodes import (
 )
 
 __all__ = [
-    "CHOSEN",
     "SceneLine",
     "carried_point",
     "draw_episode",
@@ -49,11 +48,8 @@ __all__ = [
 FRAME_RATE = round(1.0 / CONTROL_PERIOD)
 """Frames per second of a video: real time."""
 
-CHOSEN = "#f59e0b"
-"""Colour of the chosen particle."""
-
 _HOLD_FRAMES = FRAME_RATE
-_FREE, _COLLIDING, _DEMONSTRATION = "#7fa3ee", "#ea8585", "#4b5563"
+_FREE, _COLLIDING, _CHOSEN, _DEMONSTRATION = "#7fa3ee", "#ea8585", "#f59e0b", "#4b5563"
 _OBSTACLE, _BIN, _ARM = "#c9a27c", "#5fb3a8", "#374151"
 _TABLE, _GRID, _SHADOW = "#f4f2ed", "#dcd8cf", "#d5d0c5"
 _GRID_STEP = 0.2
@@ -188,7 +184,7 @@ def _draw_space(axes: Any, played: PlayedEpisode, demonstrations: FloatArray) ->
         for path, free in zip(paths, plan.collision_free, strict=True)
     ]
     lines += [SceneLine(path, _DEMONSTRATION, 1.2, dashed=True) for path in demonstrations]
-    lines.append(SceneLine(paths[plan.chosen], CHOSEN, 3.5, rimmed=True))
+    lines.append(SceneLine(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True))
     paint_scene(axes, played.scene, lines)
 
 
@@ -204,7 +200,7 @@ def _draw_from_above(axes: Any, played: PlayedEpisode, demonstrations: FloatArra
         (paths[~free], _COLLIDING, 0.8, 0.8),
         (paths[free], _FREE, 0.8, 0.8),
         (paths[[plan.chosen]], "white", 4.5, 1.0),
-        (paths[[plan.chosen]], CHOSEN, 2.8, 1.0),
+        (paths[[plan.chosen]], _CHOSEN, 2.8, 1.0),
     ):
         axes.add_collection(LineCollection(list(chosen), colors=color, lw=width, alpha=alpha))
     axes.add_collection(
@@ -229,7 +225,7 @@ def _legend_entries(played: PlayedEpisode, count: int) -> list[Any]:
     free = int(plan.collision_free.sum())
     colliding = len(plan.collision_free) - free
     return [
-        Line2D([], [], color=CHOSEN, lw=3.5, label="chosen particle"),
+        Line2D([], [], color=_CHOSEN, lw=3.5, label="chosen particle"),
         Line2D([], [], color=_FREE, lw=1.3, label=f"collision-free particles ({free})"),
         Line2D([], [], color=_COLLIDING, lw=1.3, label=f"colliding particles ({colliding})"),
         Line2D([], [], color=_DEMONSTRATION, lw=1.2, ls="--", label=f"demonstrations ({count})"),

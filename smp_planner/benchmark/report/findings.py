@@ -15,7 +15,11 @@ from smp_gym.arrays import FloatArray
 from smp_gym.observation import SENSINGS
 from smp_gym.scene import DIFFICULTIES, FAMILIES
 from smp_gym.suites import Cell
-from smp_planner.benchmark.aggregates import improvement_probability, performance_profile
+from smp_planner.benchmark.aggregates import (
+    improvement_probability,
+    interquartile_mean,
+    performance_profile,
+)
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.joined_results import (
     Episode,
@@ -65,6 +69,8 @@ class MethodFindings:
         collision: rate of episodes that a collision ended.
         solve: times of planning.
         motion: mean time of motion of its successes, s; None without any.
+        completion: interquartile mean of the time of planning and motion, s, infinite if a quarter
+            or more of the episodes failed, since failures never complete.
         causes: how often each cause ended an episode.
         contacts: how often each pair of parts was the forbidden contact.
     """
@@ -76,6 +82,7 @@ class MethodFindings:
     collision: Estimate
     solve: SolveTimes
     motion: Estimate | None
+    completion: Estimate
     causes: Mapping[str, int]
     contacts: Mapping[str, int]
 
@@ -268,9 +275,21 @@ def _method(
         rate_interval(sum(row.collision for row in rows), len(rows)),
         SolveTimes.of(rows),
         mean_interval(motions) if motions else None,
+        _completion(results, name, episodes or list(results.rows[name])),
         dict(Counter(row.cause for row in rows if not row.success).most_common()),
         dict(Counter(_kinds_of_contact(row.contact) for row in rows if row.contact).most_common()),
     )
+
+
+def _completion(results: JoinedResults, name: str, episodes: Sequence[Episode]) -> Estimate:
+    """Return the interquartile mean of the time to completion of a method, s."""
+    scores = interquartile_mean(_by_cell(results, name, episodes))
+    return {
+        "count": scores["count"],
+        "value": -scores["value"],
+        "low": -scores["high"],
+        "high": -scores["low"],
+    }
 
 
 def _cells(

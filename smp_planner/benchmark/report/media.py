@@ -20,7 +20,6 @@ from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.rollout import FrameRecorder
 from smp_gym.suites import Cell
 from smp_planner.benchmark.episode_pictures import (
-    CHOSEN,
     SceneLine,
     carried_point,
     object_paths,
@@ -40,13 +39,14 @@ from smp_planner.benchmark.manifest import code_digest
 from smp_planner.benchmark.report.findings import Findings, cell_title, contact_in_words
 from smp_planner.benchmark.report.page import Media, Picture
 from smp_planner.benchmark.worker_pool import workers
+from smp_planner.planning.plan import Plan
 
 __all__ = ["first_episodes", "take_media"]
 
 _CLASSES = ("#2f6db5", "#2e8b57", "#8e4fa8", "#1b9aaa", "#b8860b", "#c2557a")
 """Colours of the homotopy classes, the largest first."""
 
-_OTHER_CLASS, _NOT_GOOD = "#7d8590", "#c9ccd1"
+_OTHER_CLASS, _NOT_GOOD, _EXECUTED = "#7d8590", "#c9ccd1", "#f59e0b"
 _INCHES, _DOTS = (5.4, 5.0), 130
 _QUALITY = 82
 _BORDER, _RED = 8, (196, 43, 43)
@@ -162,23 +162,31 @@ def _outcome(row: EpisodeRow) -> str:
     return f"{row.cause or 'unfinished'}{contact}, after {seconds}"
 
 
-def _picture(method: str, played: PlayedEpisode) -> Picture:
-    plan = played.plan
+def _proposed(played: PlayedEpisode) -> tuple[list[SceneLine], str]:
+    """Return the lines of a particle set, the executed one last, and how many are good."""
+    plan: Plan | None = played.plan
+    if plan is None:
+        return [SceneLine(played.object_path, _EXECUTED, 3.5, rimmed=True)], "no plan"
     paths = object_paths(plan.trajectories, carried_point(played.scene))
     colours = [_NOT_GOOD] * len(paths)
     for index, label in zip(np.flatnonzero(plan.good), plan.modes.labels, strict=True):
         colours[index] = _CLASSES[label] if label < len(_CLASSES) else _OTHER_CLASS
     good_last = sorted(range(len(paths)), key=lambda index: bool(plan.good[index]))
     lines = [SceneLine(paths[index], colours[index]) for index in good_last]
-    lines.append(SceneLine(paths[plan.chosen], CHOSEN, 3.5, rimmed=True))
+    lines.append(SceneLine(paths[plan.chosen], _EXECUTED, 3.5, rimmed=True))
+    good = int(plan.good.sum())
+    classes = f", in {plan.modes.count} class{'es' if plan.modes.count > 1 else ''}" if good else ""
+    return lines, f"{good} of {len(paths)} trajectories good{classes}"
+
+
+def _picture(method: str, played: PlayedEpisode) -> Picture:
+    lines, proposed = _proposed(played)
+    caption = f"{proposed}; {_outcome(played.row)}"
     figure = Figure(figsize=_INCHES, dpi=_DOTS, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     paint_scene(figure.add_axes((0.0, 0.0, 1.0, 1.0)), played.scene, lines)
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-    good = int(plan.good.sum())
-    classes = f", in {plan.modes.count} class{'es' if plan.modes.count > 1 else ''}" if good else ""
-    caption = f"{good} of {len(paths)} trajectories good{classes}; {_outcome(played.row)}"
     return Picture(
         method,
         _uri("image/webp", imageio.imwrite("<bytes>", pixels, extension=".webp", quality=_QUALITY)),

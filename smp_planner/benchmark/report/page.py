@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -135,6 +136,7 @@ def page(findings: Findings, media: Media | None = None) -> str:
         origin=origin,
         p_value=p_value,
         profile_chart=profile_chart,
+        seconds=seconds,
         span=span,
         time_chart=time_chart,
     )
@@ -199,6 +201,11 @@ def number(value: float, digits: int) -> str:
     if digits == 1:
         return points(value)
     return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def seconds(value: float) -> str:
+    """Return a time to completion, s; one that is infinite is never reached."""
+    return number(value, 1) if math.isfinite(value) else "never"
 
 
 def p_value(value: float) -> str:

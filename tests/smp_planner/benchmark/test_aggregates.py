@@ -28,6 +28,14 @@ def test_interquartile_mean_is_scipy_s_trimmed_mean() -> None:
     assert (alone["low"], alone["high"]) == pytest.approx(tuple(reference), abs=0.05)
 
 
+def test_failures_beyond_a_quarter_make_an_interquartile_mean_infinite() -> None:
+    few, many = np.ones(40), np.ones(40)
+    few[:2], many[:20] = -np.inf, -np.inf
+    assert interquartile_mean({"a": few}) == {"count": 40, "value": 1.0, "low": 1.0, "high": 1.0}
+    estimate = interquartile_mean({"a": many})
+    assert (estimate["value"], estimate["low"]) == (-np.inf, -np.inf)
+
+
 def test_improvement_is_the_statistic_of_mann_and_whitney() -> None:
     by_task = [
         stats.mannwhitneyu(FIRST[task], SECOND[task]).statistic
@@ -95,7 +103,7 @@ def test_tasks_count_equally_in_a_profile() -> None:
 def test_scores_that_are_none_are_refused(scores: Scores, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         performance_profile(scores, [0.0])
-    with pytest.raises(ValueError, match="must be finite|" + message):
+    with pytest.raises(ValueError, match=message):
         interquartile_mean(scores)
 
 
