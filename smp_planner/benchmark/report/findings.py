@@ -67,6 +67,8 @@ class MethodFindings:
         successes: of the episodes.
         success: their rate.
         collision: rate of episodes that a collision ended.
+        good: mean share of the trajectories of a plan that meet all constraints; None of a method
+            that proposes none.
         solve: times of planning.
         motion: mean time of motion of its successes, s; None without any.
         completion: interquartile mean of the time of planning and motion, s, infinite if a quarter
@@ -80,6 +82,7 @@ class MethodFindings:
     successes: int
     success: Estimate
     collision: Estimate
+    good: Estimate | None
     solve: SolveTimes
     motion: Estimate | None
     completion: Estimate
@@ -267,12 +270,14 @@ def _method(
     rows = _rows(results, name, episodes)
     successes = sum(row.success for row in rows)
     motions = [motion_time(row) for row in rows if row.success]
+    shares = [row.share_good for row in rows if row.share_good is not None]
     return MethodFindings(
         name,
         number,
         successes,
         rate_interval(successes, len(rows)),
         rate_interval(sum(row.collision for row in rows), len(rows)),
+        mean_interval(shares) if shares else None,
         SolveTimes.of(rows),
         mean_interval(motions) if motions else None,
         _completion(results, name, episodes or list(results.rows[name])),

@@ -47,13 +47,22 @@ def _methods(findings: Findings) -> str:
             m.name,
             f"{m.successes} of {m.success['count']}",
             _rate(m.success),
+            "–" if m.good is None else f"{100 * m.good['value']:.1f}",
             f"{m.solve.median:.2f} / {m.solve.p75:.2f} / {m.solve.p98:.2f}",
             "–" if m.motion is None else f"{m.motion['value']:.1f}",
             ", ".join(f"{cause} {times}" for cause, times in m.causes.items()) or "–",
         ]
         for m in findings.methods
     ]
-    header = ["", "successes", "rate", "planning: median / 75th / 98th", "motion", "failures"]
+    header = [
+        "",
+        "successes",
+        "rate",
+        "good, %",
+        "planning: median / 75th / 98th",
+        "motion",
+        "failures",
+    ]
     return _table(header, rows)
 
 
