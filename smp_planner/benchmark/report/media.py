@@ -41,7 +41,7 @@ from smp_planner.benchmark.report.page import Media, Picture
 from smp_planner.benchmark.worker_pool import workers
 from smp_planner.planning.plan import Plan
 
-__all__ = ["first_episodes", "take_media"]
+__all__ = ["Shot", "first_episodes", "take", "take_media"]
 
 _CLASSES = ("#2f6db5", "#2e8b57", "#8e4fa8", "#1b9aaa", "#b8860b", "#c2557a")
 """Colours of the homotopy classes, the largest first."""
@@ -53,7 +53,7 @@ _BORDER, _RED = 8, (196, 43, 43)
 
 
 @dataclass(frozen=True)
-class _Shot:
+class Shot:
     """An episode that is played again.
 
     Attributes:
@@ -92,7 +92,7 @@ def take_media(
     if not shots:
         return Media()
     with workers(min(jobs, len(shots))) as pool:
-        taken = list(pool.map(_take, shots))
+        taken = list(pool.map(take, shots))
     still = taken[: len(drawn) * len(names)]
     return Media(
         tuple(
@@ -131,12 +131,12 @@ def _filmed(results: JoinedResults, method: str, failures: int) -> Iterator[Epis
     yield from [episode for episode, row in rows.items() if not row.success][:failures]
 
 
-def _shot(results: JoinedResults, method: str, episode: Episode, filmed: bool) -> _Shot:
+def _shot(results: JoinedResults, method: str, episode: Episode, filmed: bool) -> Shot:
     row = results.rows[method][episode]
-    return _Shot(method, row.key, results.source(method, episode).manifest.player, filmed)
+    return Shot(method, row.key, results.source(method, episode).manifest.player, filmed)
 
 
-def _take(shot: _Shot) -> Picture:
+def take(shot: Shot) -> Picture:
     """Return the picture or the video of an episode, played in this process."""
     key = shot.key
     env = gym.make(
