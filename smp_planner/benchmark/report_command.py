@@ -64,6 +64,7 @@ def report(
     from smp_planner.benchmark.report.markdown import markdown
     from smp_planner.benchmark.report.media import take_media
     from smp_planner.benchmark.report.page import page
+    from smp_planner.benchmark.report.training_costs import training_costs
 
     results = join_results(folders)
     findings = find(results, split_names(methods))
@@ -74,7 +75,9 @@ def report(
     else:
         with Console(stderr=True).status("drawing pictures and videos"):
             taken = take_media(findings, results, pictures=pictures, videos=videos, jobs=jobs)
-        text = page(findings, taken)
+        tasks = list(dict.fromkeys(found.cell.task for found in findings.cells))
+        training = training_costs([method.name for method in findings.methods], tasks)
+        text = page(findings, taken, training)
     if out is None:
         typer.echo(text, nl=False)
         return

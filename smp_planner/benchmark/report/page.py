@@ -24,6 +24,7 @@ from smp_planner.benchmark.report.charts import (
     time_chart,
 )
 from smp_planner.benchmark.report.findings import CellFindings, Findings, cell_title
+from smp_planner.benchmark.report.training_costs import TrainingCost
 from smp_planner.benchmark.statistics import Estimate
 
 __all__ = ["Media", "Picture", "base", "origin", "page", "span"]
@@ -94,12 +95,15 @@ def _environment() -> Environment:
     )
 
 
-def page(findings: Findings, media: Media | None = None) -> str:
+def page(
+    findings: Findings, media: Media | None = None, training: Sequence[TrainingCost] = ()
+) -> str:
     """Return the page.
 
     Args:
         findings: of the results.
         media: pictures and videos, if there are any.
+        training: what training the methods has cost, as far as it is known.
     """
     causes: dict[str, int] = {}
     for method in findings.methods:
@@ -126,7 +130,7 @@ def page(findings: Findings, media: Media | None = None) -> str:
         descriptions=_descriptions(findings),
         tasks=_tasks(findings),
         least=least_certain(len(findings.pairs)),
-        costs=_COSTS,
+        training=training,
         style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
         cell_title=cell_title,
         interval_bar=interval_bar,
@@ -140,9 +144,6 @@ def page(findings: Findings, media: Media | None = None) -> str:
         span=span,
         time_chart=time_chart,
     )
-
-
-_COSTS = "What training a method has cost is not in these rows."
 
 
 def _ordered(cells: Sequence[CellFindings], tasks: Sequence[str]) -> list[CellFindings]:

@@ -23,6 +23,7 @@ from smp_planner.benchmark.report.charts import interval_bar, time_chart
 from smp_planner.benchmark.report.findings import Findings, find
 from smp_planner.benchmark.report.markdown import markdown
 from smp_planner.benchmark.report.page import Media, Picture, page
+from smp_planner.benchmark.report.training_costs import TrainingCost, training_costs
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.statistics import rate_interval
 
@@ -350,6 +351,20 @@ def test_pictures_and_videos_stand_in_the_page(findings: Findings) -> None:
     assert shown.loaded == [picture.source] * 2
     assert {"pictures", "videos"} <= set(shown.ids)
     assert shown.text.count("another version of the code") == 2
+
+
+def test_what_training_has_cost_is_read_from_cards(findings: Findings, tmp_path: Path) -> None:
+    (tmp_path / "smp_DrawS.json").write_text(
+        '{"agent": "smp", "training": {"cpu_seconds": 90, "trajectories": 46000}}'
+    )
+    costs = training_costs(["smp@old", "cpromp"], TASKS, tmp_path)
+    assert costs == [TrainingCost("smp@old", "DrawS", 90.0, 46000)]
+    shown = Page(page(findings, training=[replace(costs[0], method="smp")]))
+    assert shown.table("Training")["smp"] == ["DrawS", "1.5", "46 000"]
+    for damaged in ("[]", "{}", '{"training": {"cpu_seconds": "1"}}'):
+        (tmp_path / "smp_DrawS.json").write_text(damaged)
+        with pytest.raises(ValueError, match=r"smp_DrawS\.json must"):
+            training_costs(["smp"], TASKS, tmp_path)
 
 
 def test_markdown_holds_the_same_numbers(findings: Findings) -> None:
