@@ -10,11 +10,12 @@ Source: Agarwal et al. 2021, "Deep reinforcement learning at the edge of the sta
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from smp_gym.arrays import FloatArray, IntArray
+from smp_gym.arrays import FloatArray
 from smp_planner.benchmark.statistics import CONFIDENCE, Estimate
 
 __all__ = [
@@ -59,13 +60,19 @@ def _estimate(value: float, count: int, draws: FloatArray) -> Estimate:
     return {"count": count, "value": value, "low": float(low), "high": float(high)}
 
 
-def _drawn(rng: np.random.Generator, count: int) -> IntArray:
-    """Return how often each of N runs is drawn, with replacement, by each resample, (B, N).
+@lru_cache(maxsize=128)
+def _drawn(number: int, count: int) -> FloatArray:
+    """Return how often each of the N runs of a task is drawn by each resample, (B, N).
 
-    It says as much as which runs are drawn, and needs no copies of them.
+    It says as much as which runs are drawn, and needs no copies of them. All that is compared on a
+    task has the same draws. Sums of such counts are exact in single precision.
+
+    Args:
+        number: of the task, from which the draws follow.
+        count: N.
     """
-    times: IntArray = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
-    return times
+    rng = np.random.default_rng([_SEED, number])
+    return rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES).astype(np.float32)
 
 
 def interquartile_mean(scores: Scores) -> Estimate:
@@ -83,10 +90,9 @@ def interquartile_mean(scores: Scores) -> Estimate:
     together = np.concatenate(given)
     order = np.argsort(together)
     cut = int(_MIDDLE * len(together))
-    rng = np.random.default_rng(_SEED)
-    times = np.concatenate([_drawn(rng, len(values)) for values in given], axis=1)
+    times = np.concatenate([_drawn(k, len(values)) for k, values in enumerate(given)], axis=1)
     draws = [
-        np.repeat(together[order], drawn)[cut : len(together) - cut].mean()
+        np.repeat(together[order], drawn.astype(int))[cut : len(together) - cut].mean()
         for drawn in times[:, order]
     ]
     middle = together[order][cut : len(together) - cut]
@@ -108,10 +114,10 @@ def performance_profile(scores: Scores, thresholds: ArrayLike) -> dict[str, Floa
     """
     at = np.asarray(thresholds, np.float64)
     reached = [values[:, None] >= at for values in _checked("scores", scores).values()]
-    rng = np.random.default_rng(_SEED)
     draws = np.zeros((RESAMPLES, len(at)))
-    for runs in reached:
-        draws += _drawn(rng, len(runs)) @ runs / (len(runs) * len(reached))
+    for number, runs in enumerate(reached):
+        counts = _drawn(number, len(runs)) @ runs.astype(np.float32)
+        draws += counts.astype(np.float64) / (len(runs) * len(reached))
     low, high = _interval(draws)
     return {
         "value": np.mean([runs.mean(axis=0) for runs in reached], axis=0),
@@ -143,22 +149,21 @@ def improvement_probability(first: Scores, second: Scores, *, paired: bool = Fal
         raise ValueError(f"tasks must be the same, got {sorted(a)} and {sorted(b)}")
     if paired and (task := next((t for t in a if len(a[t]) != len(b[t])), None)):
         raise ValueError(f"runs must come in pairs, got {len(a[task])}, {len(b[task])} of {task!r}")
-    rng = np.random.default_rng(_SEED)
     value, draws = 0.0, np.zeros(RESAMPLES)
-    for task in a:
+    for number, task in enumerate(a):
         one, other = a[task], b[task]
-        times = _drawn(rng, len(one))
+        times = _drawn(2 * number, len(one))
         if paired:
             wins = _wins(one, other)
             draws += times @ wins / len(one)
         else:
             wins = _wins(one[:, None], other[None])
-            draws += ((times @ wins) * _drawn(rng, len(other))).sum(axis=1) / wins.size
+            draws += ((times @ wins) * _drawn(2 * number + 1, len(other))).sum(axis=1) / wins.size
         value += float(wins.mean())
     return _estimate(value / len(a), sum(map(len, a.values())), draws / len(a))
 
 
 def _wins(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return 1 where the first score is greater, and ½ where they are equal."""
-    wins: FloatArray = (first > second) + 0.5 * (first == second)
+    wins: FloatArray = ((first > second) + 0.5 * (first == second)).astype(np.float32)
     return wins

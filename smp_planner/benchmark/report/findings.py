@@ -30,8 +30,6 @@ from smp_planner.benchmark.joined_results import (
     suite_of,
 )
 from smp_planner.benchmark.paired_comparison import (
-    BETTER,
-    WORSE,
     Comparison,
     SolveTimes,
     compare_pairs,
@@ -99,14 +97,12 @@ class CellRate:
         number: see `MethodFindings`.
         successes: of the episodes.
         success: their rate.
-        verdict: on the method against the one of most successes overall; empty for that one.
     """
 
     method: str
     number: int
     successes: int
     success: Estimate
-    verdict: str
 
 
 @dataclass(frozen=True)
@@ -306,18 +302,11 @@ def _cells(
         episodes = [e for e in results.common(playing) if e.cell == cell] if playing else []
         if not episodes:
             continue
-        verdicts = {}
-        if order[0] in playing:
-            for each in compare_pairs(results, playing, episodes):
-                if each.first == playing[0]:
-                    turned = {BETTER: WORSE, WORSE: BETTER}
-                    verdicts[each.second] = turned.get(each.verdict, each.verdict)
         rates = []
         for method in playing:
             successes = sum(results.rows[method][e].success for e in episodes)
             rate = rate_interval(successes, len(episodes))
-            verdict = verdicts.get(method, "")
-            rates.append(CellRate(method, numbers[method], successes, rate, verdict))
+            rates.append(CellRate(method, numbers[method], successes, rate))
         found.append(CellFindings(cell, suite_of(cell), len(episodes), tuple(rates)))
     return found
 
