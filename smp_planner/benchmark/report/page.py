@@ -114,6 +114,7 @@ def page(
         (suite, [found for found in _ordered(findings.cells, tasks) if found.suite == suite])
         for suite in dict.fromkeys(found.suite for found in findings.cells)
     ]
+    levels = findings.levels
     template = _environment().get_template("page.html.j2")
     return template.render(
         findings=findings,
@@ -123,8 +124,8 @@ def page(
         answer=[Markup(_unbroken(sentence)) for sentence in answer(findings)],
         base=base(findings),
         causes=sorted(causes, key=lambda cause: -causes[cause]),
-        # Of one difficulty, the table of all methods shows the same.
-        levels=[level for level in findings.levels if len(level.difficulties) > 1],
+        # Of one suite and difficulty, the table of all methods shows the same.
+        levels=levels if sum(len(level.difficulties) for level in levels) > 1 else (),
         suites=suites,
         numbers={method.name: method.number for method in findings.methods},
         descriptions=_descriptions(findings),
