@@ -3,16 +3,19 @@
 import csv
 import gzip
 import re
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from real_rows import METHODS, TASKS, write_folder
 from scipy import stats
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from smp_planner.benchmark.cli import app
@@ -20,7 +23,7 @@ from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.joined_results import join_results
 from smp_planner.benchmark.report.answer import answer, least_certain, title
 from smp_planner.benchmark.report.charts import interval_bar, time_chart
-from smp_planner.benchmark.report.findings import Findings, find
+from smp_planner.benchmark.report.findings import Findings, find, replay_command
 from smp_planner.benchmark.report.markdown import markdown
 from smp_planner.benchmark.report.page import Media, Picture, page
 from smp_planner.benchmark.report.training_costs import TrainingCost, training_costs
@@ -59,7 +62,7 @@ class Page(HTMLParser):
         self.loaded: list[str] = []
         self.found: Counter[str] = Counter()
         self.attributes: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
+        self.text = self.style = ""
         self.feed(text)
         self.close()
 
@@ -87,6 +90,7 @@ class Page(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if "style" in self.open:
+            self.style += data
             return
         self.text += data
         if "caption" in self.open:
@@ -325,6 +329,36 @@ def test_commands_say_what_an_episode_was(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"family": "shelf", "sensing": "noise", "noise": 0.02},
+        {"half": "placed", "sensing": "depth"},
+        {"replan_every": 10, "latency": 3},
+    ],
+)
+def test_draw_understands_the_commands(
+    findings: Findings, tmp_path: Path, changes: dict[str, Any]
+) -> None:
+    (source,) = findings.sources
+    lists = replace(source, manifest=replace(source.manifest, lists=str(tmp_path / "my lists")))
+    row = replace(findings.failures["smp"][0].row, **changes)
+    words = shlex.split(replay_command(row, lists))
+    draw = get_command(app).commands[words[1]]  # type: ignore[attr-defined]
+    given = draw.make_context(words[1], words[2:]).params
+    assert {name: given[name] for name in changes} == changes
+    for name in ("task", "difficulty", "method", "seed"):
+        assert given[name] == getattr(row, name)
+    assert given["lists"] == (tmp_path / "my lists" if row.half else None)
+
+
+def test_draw_names_an_episode_that_no_list_holds(tmp_path: Path) -> None:
+    options = ["--half", "placed", "--seed", "7", "--lists", str(tmp_path), "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, ["draw", *options])
+    assert result.exit_code == 2
+    assert "no frozen list of Placement_medium" in result.output
+
+
 def test_a_bar_stands_where_the_rate_is() -> None:
     svg = str(interval_bar(rate_interval(3, 4), 0))
     (x,) = re.findall(r'<circle cx="([\d.]+)"', svg)
@@ -351,6 +385,27 @@ def test_pictures_and_videos_stand_in_the_page(findings: Findings) -> None:
     assert shown.loaded == [picture.source] * 2
     assert {"pictures", "videos"} <= set(shown.ids)
     assert shown.text.count("another version of the code") == 2
+
+
+def _luminance(colour: str) -> float:
+    """Return the relative luminance of a colour #rrggbb, by WCAG 2."""
+    parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_words_and_marks_stand_out_in_light_and_dark(shown: Page) -> None:
+    light, dark = (
+        dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", part))
+        for part in shown.style.split("@media (prefers-color-scheme: dark)")[:2]
+    )
+    assert light.keys() == dark.keys()
+    assert _luminance(light["paper"]) > 0.5 > 0.05 > _luminance(dark["paper"])
+    for colours in (light, dark):
+        paper = _luminance(colours["paper"])
+        for name in ("ink", "soft", "link", "good", "bad", "open", *(f"m{k}" for k in range(10))):
+            low, high = sorted((paper, _luminance(colours[name])))
+            assert (high + 0.05) / (low + 0.05) >= 4.5, name
 
 
 def test_what_training_has_cost_is_read_from_cards(findings: Findings, tmp_path: Path) -> None:
