@@ -26,6 +26,7 @@ __all__ = [
     "Sensing",
     "chosen_cells",
     "fail",
+    "find_own_modules",
     "replanning",
     "requested_manifest",
 ]
@@ -133,12 +134,17 @@ def chosen_cells(
         raise fail(str(error), 2) from error
 
 
+def find_own_modules() -> None:
+    """Let modules of the working directory be imported, here and in worker processes."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+
+
 def requested_manifest(*arguments: Any, **options: Any) -> Manifest:
     """Return `make_manifest` of arguments; modules of the working directory are found, too."""
     from smp_planner.benchmark.manifest import make_manifest
 
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+    find_own_modules()
     try:
         return make_manifest(*arguments, **options)
     except ValueError as error:

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from smp_planner.benchmark.cell_options import find_own_modules
 from smp_planner.benchmark.options import Jobs, one_of, split_names
 
 __all__ = ["report"]
@@ -73,6 +74,7 @@ def report(
             raise typer.BadParameter("pictures and videos are of the format html")
         text = markdown(findings)
     else:
+        find_own_modules()
         with Console(stderr=True).status("drawing pictures and videos"):
             taken = take_media(findings, results, pictures=pictures, videos=videos, jobs=jobs)
         tasks = list(dict.fromkeys(found.cell.task for found in findings.cells))
