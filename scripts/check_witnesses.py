@@ -11,7 +11,7 @@ from rich.table import Table
 from smp_gym.inspection.witness_check import witness_solves
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark.options import Jobs, Names, chosen_names, pooled, run_command
-from smp_planner.benchmark.summary import rate_interval
+from smp_planner.benchmark.statistics import rate_interval
 
 
 def main(

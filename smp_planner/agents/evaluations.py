@@ -16,7 +16,7 @@ from stable_baselines3 import SAC
 from smp_gym.atomic_files import replacing
 from smp_gym.rollout import rollout
 from smp_planner.benchmark.results_folder import write_table
-from smp_planner.benchmark.summary import rate_interval
+from smp_planner.benchmark.statistics import rate_interval
 
 __all__ = ["Evaluation", "draw_curve", "evaluate", "read_evaluations", "write_evaluations"]
 

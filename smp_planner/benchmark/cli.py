@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -14,6 +12,21 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from smp_planner.benchmark.cell_options import (
+    Difficulty,
+    Family,
+    Latency,
+    Lists,
+    Noise,
+    ReplanEvery,
+    Sensing,
+    chosen_cells,
+    fail,
+    replanning,
+    requested_manifest,
+)
+from smp_planner.benchmark.comparison_command import compare
+from smp_planner.benchmark.drawing_command import draw, draw_episodes
 from smp_planner.benchmark.folder_commands import export, import_results
 from smp_planner.benchmark.options import (
     CommandLine,
@@ -23,9 +36,9 @@ from smp_planner.benchmark.options import (
     progress_bar,
     split_names,
 )
+from smp_planner.benchmark.report_command import report
 
 if TYPE_CHECKING:
-    from smp_gym.suites import Cell
     from smp_planner.benchmark.episodes import EpisodeRow
     from smp_planner.benchmark.manifest import Manifest
     from smp_planner.benchmark.worker_pool import Backend
@@ -48,40 +61,9 @@ app = CommandLine(
     ),
 )
 
-_Difficulty = Annotated[
-    str | None,
-    typer.Option(help="Of single cells: none, easy, medium or hard. Default: medium."),
-]
-
-_Family = Annotated[
-    str | None,
-    typer.Option(
-        help="Of the scenes of single cells: obstacles, shelf, box, cage, table, clutter, moving "
-        "or displaced; not every task has all of them. Default: obstacles."
-    ),
-]
-
-_Sensing = Annotated[
-    str | None,
-    typer.Option(
-        help="What observations of single cells say of obstacles: exact rows, rows with noise, or "
-        "a depth camera's points. Default: exact."
-    ),
-]
-
-_Noise = Annotated[
-    float | None,
-    typer.Option(help="Standard deviation of perceived positions with --sensing noise, m."),
-]
-
 
 def _console(error: bool = False) -> Console:
     return Console(stderr=error, highlight=False)
-
-
-def _fail(message: str, code: int) -> typer.Exit:
-    print_error(message)
-    return typer.Exit(code)
 
 
 @app.command("list")
@@ -157,10 +139,10 @@ def run(
             "of the frozen lists. Default: 0.",
         ),
     ] = None,
-    difficulty: _Difficulty = None,
-    family: _Family = None,
-    sensing: _Sensing = None,
-    noise: _Noise = None,
+    difficulty: Difficulty = None,
+    family: Family = None,
+    sensing: Sensing = None,
+    noise: Noise = None,
     frozen: Annotated[
         bool,
         typer.Option(
@@ -170,26 +152,9 @@ def run(
             "reported apart.",
         ),
     ] = False,
-    lists: Annotated[
-        Path | None,
-        typer.Option(help="Folder of frozen lists. Default: that of the package."),
-    ] = None,
-    replan_every: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Make plans anew after so many control steps at the latest, of methods that can: "
-            "smp, promp. Default: plan once.",
-        ),
-    ] = None,
-    latency: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Control steps from asking for a plan to its taking effect, whatever the machine; "
-            "with --replan-every. Default: 2.",
-        ),
-    ] = None,
+    lists: Lists = None,
+    replan_every: ReplanEvery = None,
+    latency: Latency = None,
     jobs: Annotated[
         int | None,
         typer.Option(min=1, help="Worker processes; rows do not depend on it. Default: all cores."),
@@ -241,8 +206,8 @@ def run(
     from smp_planner.benchmark.worker_pool import BACKENDS, available_cores
 
     single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
-    chosen = _cells(suite, split_names(tasks), split_names(cells), single)
-    manifest = _manifest(
+    chosen = chosen_cells(suite, split_names(tasks), split_names(cells), single)
+    manifest = requested_manifest(
         chosen,
         split_names(methods),
         seed or 0,
@@ -250,16 +215,16 @@ def run(
         frozen=frozen or (bool(suite) and seed is None),
         suite=suite,
         lists=lists,
-        **_replanning(replan_every, latency),
+        **replanning(replan_every, latency),
     )
     kind = cast("Backend", one_of(backend, BACKENDS, "--backend"))
     try:
         workers = jobs or available_cores(kind)
         rows = _run_with_progress(manifest, out, workers, restart, kind)
     except (ResultsError, ModuleNotFoundError) as error:
-        raise _fail(str(error), 2) from error
+        raise fail(str(error), 2) from error
     except (WorkerDiedError, EpisodeFailedError) as error:
-        raise _fail(str(error), 1) from error
+        raise fail(str(error), 1) from error
     except Interrupted:
         print_error(
             f"interrupted; the episodes so far are kept in {str(out)!r}: the same command "
@@ -268,66 +233,14 @@ def run(
         raise
     _finish(manifest, rows, out)
     drawn = not suite
-    _draw(
+    draw_episodes(
         manifest,
         out,
         # What is drawn, is drawn here.
-        workers if kind == "processes" else available_cores(),
-        drawn if figure is None else figure,
-        drawn if video is None else video,
+        jobs=workers if kind == "processes" else available_cores(),
+        figure=drawn if figure is None else figure,
+        video=drawn if video is None else video,
     )
-
-
-def _replanning(replan_every: int | None, latency: int | None) -> dict[str, int]:
-    """Return the arguments of `make_manifest` that say when plans are made anew."""
-    if replan_every is None:
-        if latency is not None:
-            raise _fail(f"--latency needs --replan-every, got --latency {latency} without", 2)
-        return {}
-    return {"replan_every": replan_every} | ({} if latency is None else {"latency": latency})
-
-
-def _cells(
-    suite: str, tasks: Sequence[str], names: Sequence[str], single: Mapping[str, Any]
-) -> tuple[Cell, ...]:
-    """Return the cells of a suite, or one for each task.
-
-    Args:
-        suite: its name; empty for single cells.
-        tasks: names; none for all of a suite, or for Placement.
-        names: of cells of the suite; none for all.
-        single: the fields of single cells that were given, and None for the others.
-    """
-    from smp_gym.suites import Cell, suite_cells
-
-    given = {name: value for name, value in single.items() if value is not None}
-    try:
-        if suite:
-            if given:
-                raise ValueError(
-                    f"--{next(iter(given))} is of single cells, got it with --suite {suite}: "
-                    "choose cells of a suite by --tasks and --cells"
-                )
-            return suite_cells(suite, tasks, names)
-        if names:
-            raise ValueError(f"--cells needs --suite, got --cells {','.join(names)} without")
-        return tuple(
-            Cell(task, **{"difficulty": "medium", **given}) for task in tasks or ("Placement",)
-        )
-    except ValueError as error:
-        raise _fail(str(error), 2) from error
-
-
-def _manifest(*arguments: Any, **options: Any) -> Manifest:
-    """Return `make_manifest` of arguments; modules of the working directory are found, too."""
-    from smp_planner.benchmark.manifest import make_manifest
-
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
-    try:
-        return make_manifest(*arguments, **options)
-    except ValueError as error:
-        raise _fail(str(error), 2) from error
 
 
 def _run_with_progress(
@@ -380,18 +293,6 @@ def _show(summary: Mapping[str, Any], console: Console) -> None:
         console.print(overview(summary))
 
 
-def _draw(
-    manifest: Manifest, out: Path, jobs: int, figure: bool = True, video: bool = True
-) -> None:
-    """Play the first episode of each cell and method again and write its figure and video."""
-    from smp_planner.benchmark.runner import draw as draw_episodes
-
-    with _console(error=True).status("drawing figures and videos"):
-        written = draw_episodes(manifest, out, jobs=jobs, figure=figure, video=video)
-    for path in written:
-        _console().print(f"wrote {escape(str(path))}", soft_wrap=True)
-
-
 @app.command()
 def show(
     folder: Annotated[Path, typer.Argument(help="Folder that `run` wrote, finished or not.")],
@@ -405,7 +306,7 @@ def show(
     try:
         manifest, rows = read_results(folder)
     except ResultsError as error:
-        raise _fail(str(error), 2) from error
+        raise fail(str(error), 2) from error
     summary = summarise(manifest, rows)
     if as_json:
         typer.echo(json.dumps(summary, indent=2))
@@ -419,25 +320,6 @@ def show(
 
 app.command()(export)
 app.command("import")(import_results)
-
-
-@app.command()
-def draw(
-    out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
-    task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
-    method: Annotated[str, typer.Option(help="Name of the method, or name=module:Class.")] = "smp",
-    difficulty: _Difficulty = None,
-    family: _Family = None,
-    sensing: _Sensing = None,
-    noise: _Noise = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
-    figure: Annotated[bool, typer.Option(help="Draw scene and particles.")] = True,
-    video: Annotated[bool, typer.Option(help="Film the episode.")] = True,
-) -> None:
-    """Play one episode and write its figure and its video.
-
-    Example: [green]smp-bench draw --method smp --seed 7 --out results/seven[/green]
-    """
-    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
-    manifest = _manifest(_cells("", (task,), (), single), (method,), seed, 1)
-    _draw(manifest, out, 1, figure, video)
+app.command()(draw)
+app.command()(compare)
+app.command()(report)

@@ -8,7 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from smp_planner.benchmark.episodes import EpisodePlayer, EpisodeRow
+from smp_planner.benchmark.episodes import EpisodeKey, EpisodePlayer, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, Manifest
 from smp_planner.benchmark.results_folder import ResultsFolder
 from smp_planner.benchmark.worker_pool import GRACE, Backend, workers
@@ -201,13 +201,20 @@ def run(
 
 
 def draw(
-    manifest: Manifest, folder: Path, *, jobs: int = 1, figure: bool = True, video: bool = True
+    manifest: Manifest,
+    folder: Path,
+    keys: Sequence[EpisodeKey] = (),
+    *,
+    jobs: int = 1,
+    figure: bool = True,
+    video: bool = True,
 ) -> list[Path]:
-    """Play the first episode of each cell and method again, and write their figures and videos.
+    """Play episodes again, and write their figures and videos.
 
     Args:
         manifest: of the run.
         folder: of the files; made if there is none.
+        keys: of the episodes; none for the first of each cell and method.
         jobs: number of worker processes.
         figure: whether to write figures.
         video: whether to write videos.
@@ -218,7 +225,7 @@ def draw(
     from smp_planner.benchmark.episode_pictures import draw_episode
 
     folder.mkdir(parents=True, exist_ok=True)
-    keys = manifest.first_keys()
+    keys = keys or manifest.first_keys()
     if not (figure or video):
         return []
     player = manifest.player

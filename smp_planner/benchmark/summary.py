@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
@@ -12,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from scipy import stats
 
 from smp_gym.datasets.frozen import HALVES
 from smp_gym.suites import Cell
@@ -20,13 +17,11 @@ from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import Manifest
 from smp_planner.benchmark.map_accuracy import MapAccuracy
 from smp_planner.benchmark.results_folder import write_table
+from smp_planner.benchmark.statistics import CONFIDENCE, mean_interval, rate_interval
 
 __all__ = [
-    "CONFIDENCE",
     "CSV_COLUMNS",
-    "mean_interval",
     "overview",
-    "rate_interval",
     "summarise",
     "tables",
     "write_csv",
@@ -34,12 +29,6 @@ __all__ = [
 
 CSV_COLUMNS = tuple(f.name for f in fields(EpisodeRow) if f.name not in ("stage_times", "scene"))
 """Columns of ``episodes.csv``; the last three are times and differ from run to run."""
-
-CONFIDENCE = 0.95
-"""Level of all intervals."""
-
-_RESAMPLES = 2000
-_BOOTSTRAP_SEED = 0
 
 _RATES = ("success", "collision", "chosen_collision_free", "chosen_executable")
 _MEANS = (
@@ -55,51 +44,6 @@ _MEANS = (
     "planning_time",
 )
 _REPLANNING = ("replans", "failed_replans", "replanning_time")
-
-Estimate = dict[str, float | int]
-
-
-def rate_interval(successes: int, count: int) -> Estimate:
-    """Return a rate with its Wilson interval (Wilson 1927).
-
-    Args:
-        successes: how many of `count`.
-        count: at least 1.
-    """
-    test = stats.binomtest(successes, count)
-    interval = test.proportion_ci(confidence_level=CONFIDENCE, method="wilson")
-    return {
-        "count": count,
-        "value": successes / count,
-        "low": float(interval.low),
-        "high": float(interval.high),
-    }
-
-
-def mean_interval(values: Sequence[float]) -> Estimate:
-    """Return a mean with its bias-corrected and accelerated bootstrap interval (Efron 1987).
-
-    Values that are all equal, or a single one, have the interval of width zero.
-
-    Args:
-        values: at least one, finite.
-    """
-    data = np.asarray(values, np.float64)
-    mean = float(data.mean())
-    low = high = mean
-    if len(data) > 1 and np.ptp(data) > 0.0:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", stats.DegenerateDataWarning)
-            interval = stats.bootstrap(
-                (data,),
-                np.mean,
-                confidence_level=CONFIDENCE,
-                n_resamples=_RESAMPLES,
-                rng=np.random.default_rng(_BOOTSTRAP_SEED),
-            ).confidence_interval
-        if math.isfinite(interval.low) and math.isfinite(interval.high):
-            low, high = float(interval.low), float(interval.high)
-    return {"count": len(data), "value": mean, "low": low, "high": high}
 
 
 def _of_group(rows: Sequence[EpisodeRow]) -> dict[str, Any]:

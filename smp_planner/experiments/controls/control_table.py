@@ -15,7 +15,7 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
 from smp_planner.benchmark.results_folder import ResultsError, write_json
 from smp_planner.benchmark.row_table import checked
-from smp_planner.benchmark.summary import rate_interval
+from smp_planner.benchmark.statistics import rate_interval
 from smp_planner.experiments.controls.detour import Detour, SearchSettings, learn_detour
 from smp_planner.experiments.controls.measuring import (
     Outcome,

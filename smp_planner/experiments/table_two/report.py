@@ -13,7 +13,7 @@ from smp_gym.assets import asset_path
 from smp_gym.atomic_files import write_text
 from smp_gym.scene import TASKS
 from smp_planner.benchmark.results_folder import write_json, write_table
-from smp_planner.benchmark.summary import mean_interval, rate_interval
+from smp_planner.benchmark.statistics import mean_interval, rate_interval
 from smp_planner.experiments.table_two.repetitions import METHODS, RepetitionRow
 from smp_planner.experiments.table_two.scenes import RULE, load_scenes
 

@@ -24,7 +24,6 @@ from fake_episodes import (
     without_times,
 )
 from rich.console import Console
-from scipy import stats
 from typer.testing import CliRunner
 
 from smp_gym.datasets.frozen import FrozenEpisode, list_path, load_episodes, write_episodes
@@ -36,9 +35,7 @@ from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_res
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import (
     CSV_COLUMNS,
-    mean_interval,
     overview,
-    rate_interval,
     summarise,
     tables,
     write_csv,
@@ -265,33 +262,6 @@ def _wait_until(condition: Callable[[], bool], seconds: float) -> None:
 
 
 # What is summarised
-
-
-@pytest.mark.parametrize(("successes", "count"), [(0, 7), (7, 7), (187, 200)])
-def test_rates_have_wilson_intervals(successes: int, count: int) -> None:
-    z = stats.norm.ppf(0.975)
-    p = successes / count
-    middle = (p + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(p * (1 - p) / count + z**2 / (4 * count**2))
-    estimate = rate_interval(successes, count)
-    assert estimate["value"] == p
-    assert estimate["low"] == pytest.approx(middle - half, abs=1e-12)
-    assert estimate["high"] == pytest.approx(middle + half, abs=1e-12)
-
-
-def test_bootstrap_intervals_cover_the_mean_as_often_as_they_say() -> None:
-    draw = np.random.default_rng(0)
-    covered = 0
-    for _ in range(100):
-        estimate = mean_interval(draw.exponential(2.0, 60).tolist())
-        covered += estimate["low"] <= 2.0 <= estimate["high"]
-    assert 85 <= covered <= 100
-
-
-@pytest.mark.parametrize("values", [[3.0], [3.0, 3.0, 3.0]])
-def test_equal_values_have_an_interval_of_width_zero(values: list[float]) -> None:
-    estimate = mean_interval(values)
-    assert (estimate["value"], estimate["low"], estimate["high"]) == (3.0, 3.0, 3.0)
 
 
 def test_summary_counts_by_method_and_is_json() -> None:

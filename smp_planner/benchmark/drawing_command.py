@@ -1,0 +1,103 @@
+"""The command ``smp-bench draw``: one episode played again, as a figure and a video."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from smp_planner.benchmark.cell_options import (
+    Difficulty,
+    Family,
+    Latency,
+    Lists,
+    Noise,
+    ReplanEvery,
+    Sensing,
+    chosen_cells,
+    fail,
+    replanning,
+    requested_manifest,
+)
+
+if TYPE_CHECKING:
+    from smp_gym.suites import Cell
+    from smp_planner.benchmark.episodes import EpisodeKey
+    from smp_planner.benchmark.manifest import Manifest
+
+__all__ = ["draw", "draw_episodes"]
+
+
+def draw_episodes(
+    manifest: Manifest,
+    out: Path,
+    keys: Sequence[EpisodeKey] = (),
+    *,
+    jobs: int = 1,
+    figure: bool = True,
+    video: bool = True,
+) -> None:
+    """Play episodes again, write their figures and videos, and say where; see `runner.draw`."""
+    from smp_planner.benchmark import runner
+
+    with Console(stderr=True).status("drawing figures and videos"):
+        written = runner.draw(manifest, out, keys, jobs=jobs, figure=figure, video=video)
+    for path in written:
+        Console(highlight=False).print(f"wrote {escape(str(path))}", soft_wrap=True)
+
+
+def draw(
+    out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
+    task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
+    method: Annotated[str, typer.Option(help="Name of the method, or name=module:Class.")] = "smp",
+    difficulty: Difficulty = None,
+    family: Family = None,
+    sensing: Sensing = None,
+    noise: Noise = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
+    half: Annotated[
+        str,
+        typer.Option(
+            help="Half of a frozen list, witness or placed; the seed then names an episode of it."
+        ),
+    ] = "",
+    lists: Lists = None,
+    replan_every: ReplanEvery = None,
+    latency: Latency = None,
+    figure: Annotated[bool, typer.Option(help="Draw scene and particles.")] = True,
+    video: Annotated[bool, typer.Option(help="Film the episode.")] = True,
+) -> None:
+    """Play one episode and write its figure and its video.
+
+    Example: [green]smp-bench draw --method smp --seed 7 --out results/seven[/green]
+    """
+    from smp_planner.benchmark.episodes import EpisodeKey
+
+    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
+    (cell,) = chosen_cells("", (task,), (), single)
+    if half:
+        _check_listed(cell, half, seed, lists)
+    replanned = replanning(replan_every, latency)
+    manifest = requested_manifest((cell,), (method,), seed, 1, lists=lists, **replanned)
+    key = EpisodeKey.of(cell, manifest.methods[0], seed, half)
+    draw_episodes(manifest, out, [key], figure=figure, video=video)
+
+
+def _check_listed(cell: Cell, half: str, seed: int, lists: Path | None) -> None:
+    """End the command unless the frozen list of a cell holds an episode."""
+    from smp_gym.datasets.frozen import load_episodes
+
+    try:
+        seeds = [episode.seed for episode in load_episodes(cell, lists) if episode.half == half]
+        if seed not in seeds:
+            known = f"its seeds are {min(seeds)} to {max(seeds)}" if seeds else "it is empty"
+            raise ValueError(
+                f"no episode of seed {seed} in the half {half!r} of the frozen list of "
+                f"{cell.name}; {known}"
+            )
+    except ValueError as error:
+        raise fail(str(error), 2) from error
