@@ -411,7 +411,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._succeeded = bool(self.task.success(self._achieved, self._desired))
         lost = bool(self.task.lost(self._achieved, self._desired))
         self._over = self._succeeded or collided or lost
-        if collided:
+        if self._succeeded:
+            self._failure = ""
+        elif collided:
             self._failure = "collision"
         elif not self._failure:
             self._failure = self.task.failure(self._cell.status) or ("misplaced" if lost else "")

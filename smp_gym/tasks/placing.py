@@ -74,8 +74,13 @@ class PlacingTask(CommonRules, ABC):
         return _CONTACTS_HELD | {support, ("object", "table")}
 
     def failure(self, status: Status) -> str:
-        """Return "dropped" when the object, no longer held, touches the table."""
-        return "dropped" if not status.held and "table" in status.object_contacts else ""
+        """Return "dropped" when the object, no longer held, touches the table.
+
+        Landing on a thin support it may come as deep as the table for a moment.
+        """
+        touched = status.object_contacts
+        dropped = not status.held and "table" in touched and self.support not in touched
+        return "dropped" if dropped else ""
 
     @abstractmethod
     def success(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:

@@ -306,7 +306,7 @@ def test_a_scripted_placement_succeeds(env, seed):
     results = place(env)
     observation, reward, terminated, _, info = results[-1]
     assert terminated
-    assert info["is_success"]
+    assert (info["is_success"], info["failure"]) == (True, "")
     assert reward == SUCCESS_REWARD
     assert [r[1] for r in results[:-1]] == [0.0] * (len(results) - 1)
     assert (info["failure"], info["collided"], info["collision"]) == ("", False, None)

@@ -106,6 +106,8 @@ def test_flags_of_the_achieved_goal():
 
 def test_only_an_object_let_go_can_be_dropped():
     assert TASK.failure(status({"table"})) == "dropped"
+    # It falls onto the bin's floor so fast that the engine sees it touch what is below.
+    assert TASK.failure(status({"table", "bin"})) == ""
     assert TASK.failure(status({"bin"})) == ""
     assert TASK.failure(status({"hand", "table"}, held=True)) == ""
 
