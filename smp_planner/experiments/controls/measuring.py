@@ -13,7 +13,6 @@ from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.rollout import rollout
 from smp_gym.scene import Scene
 from smp_planner.experiments.controls.detour import (
-    Course,
     Detour,
     conditioned_course,
     detours_free,
@@ -22,6 +21,7 @@ from smp_planner.experiments.controls.posed_scenes import environment, posed, po
 from smp_planner.experiments.controls.unadapted import plan_unadapted
 from smp_planner.planners import ConfiguredPlanner, make_planner
 from smp_planner.planning.assessment import make_plan
+from smp_planner.planning.bumps import BumpedMean
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.settings import PlanSettings
 
@@ -79,7 +79,7 @@ def detour_outcomes(
     return outcomes
 
 
-def _plan_of(course: Course, detour: Detour) -> Plan:
+def _plan_of(course: BumpedMean, detour: Detour) -> Plan:
     trajectories = course.trajectories(detour.numbers[None])
     return make_plan(course.problem, trajectories, {"prior": np.zeros(1)}, PlanSettings())
 
