@@ -39,7 +39,8 @@ app = CommandLine(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     help=(
-        "Measure planners on randomised manipulation episodes, judged by the physics engine.\n\n"
+        "Measure planners and agents on randomised manipulation episodes, judged by the physics "
+        "engine.\n\n"
         "Start with [bold]smp-bench list[/bold], then for example:\n\n"
         "[green]smp-bench run --methods smp,promp --episodes 20 --out results/first[/green]"
     ),
@@ -93,11 +94,11 @@ def list_command() -> None:
         TASKS,
     )
     from smp_gym.suites import SUITES
-    from smp_planner.planners.registry import installed_methods, known_methods
+    from smp_planner.benchmark.methods import known_methods_and_agents
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_row("[bold]tasks[/]", ", ".join(TASKS))
-    table.add_row("[bold]methods[/]", ", ".join((*known_methods(), *installed_methods())))
+    table.add_row("[bold]methods[/]", ", ".join(known_methods_and_agents()))
     table.add_row("[bold]difficulties[/]", ", ".join(DIFFICULTIES))
     table.add_row("[bold]families[/]", ", ".join(FAMILIES))
     table.add_row("[bold]sensing[/]", ", ".join(SENSINGS))
@@ -139,7 +140,9 @@ def run(
         str,
         typer.Option(
             metavar="NAMES",
-            help="Names of methods, separated by commas; name=module:Class is one of your own.",
+            help="Names of methods, separated by commas; name=module:Class is a planner of your "
+            "own, name=path.zip an agent that stable-baselines3 saved: loading it runs code that "
+            "the file holds, so name only files that you trust.",
         ),
     ] = "smp,promp",
     episodes: Annotated[
@@ -405,7 +408,12 @@ def show(
 def draw(
     out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
-    method: Annotated[str, typer.Option(help="Name of the method, or name=module:Class.")] = "smp",
+    method: Annotated[
+        str,
+        typer.Option(
+            help="Name of the method, name=module:Class, or name=path.zip, which runs code."
+        ),
+    ] = "smp",
     difficulty: _Difficulty = None,
     family: _Family = None,
     sensing: _Sensing = None,

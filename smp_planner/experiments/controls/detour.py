@@ -17,7 +17,7 @@ import numpy as np
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling.blind_detours import FUNCTIONS, detour_functions
-from smp_planner.experiments.controls.posed_scenes import primitive_of
+from smp_planner.agents.posed_scenes import primitive_of
 from smp_planner.planning.assessment import assess
 from smp_planner.planning.bumps import BumpedMean, SoftenedCheck, bumped_mean, scale_of
 from smp_planner.planning.problem import Problem
