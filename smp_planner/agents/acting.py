@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from zipfile import BadZipFile
 
 import numpy as np
@@ -72,14 +72,14 @@ class ViewingAgent:
     space: spaces.Space[Any]
     name: str
 
-    def check(self, task: str, sensing: Sensing) -> None:
+    def check(self, task: str, sensing: str) -> None:
         """Raise ValueError unless observations of a task are what the agent was trained on.
 
         Args:
             task: of the environment.
             sensing: of the environment.
         """
-        given = observation_space(task, sensing)
+        given = observation_space(task, cast(Sensing, sensing))
         own = self.space
         if isinstance(own, spaces.Dict):
             missing = sorted(set(own) - set(given))
@@ -170,7 +170,11 @@ def load_zip(path: Path, name: str) -> ViewingAgent:
         ) from None
     algorithm = _algorithm(data, path)
     # What only training needs; a replay buffer would take hundreds of megabytes.
-    unused = {"replay_buffer_class": None, "replay_buffer_kwargs": {}, "buffer_size": 1}
+    unused: dict[str, Any] = {
+        "replay_buffer_class": None,
+        "replay_buffer_kwargs": {},
+        "buffer_size": 1,
+    }
     replaced = {key: value for key, value in unused.items() if key in data}
     load: Callable[..., Any] = algorithm.load
     try:

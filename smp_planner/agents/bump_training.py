@@ -4,9 +4,10 @@ An action is an episode's whole trajectory (Kober, Oztop and Peters 2011; Otto e
 Black-Box Reinforcement Learning with Movement Primitives"): bumps on the conditioned mean. In every
 iteration a batch of scenes is drawn, 16 actions are drawn in each, and the policy follows the
 clipped gradient of Schulman et al. 2017 (Eq. (7)), the advantage of an action being its reward less
-the mean of its scene. The reward is the planners' check with the exact distances: how clear a
-trajectory is of everything, softened, and 1 more if it is clear, within joint limits and the limit
-of duration, and meets the constraints.
+the mean of its scene. The reward is the planners' check with the exact distances, at every fifth
+sample of a trajectory and with 3 mm for what lies between them: its least clearance, in units of
+0.15 m, and 1 more if it is clear of everything, within joint limits and the limit of duration, and
+meets the constraints.
 
 A sampler's scene takes longer to draw than hundreds of trajectories to check, so each is met many
 times, but never twice the same: obstacles are shifted, and in a share of the visits they are those
@@ -30,11 +31,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from pydantic import BaseModel, ConfigDict, Field
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, shown
 from smp_gym.atomic_files import replacing, write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, Scene
+from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.agents.posed_scenes import posed, primitive_of
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.planners.agent_file import AgentCard, write_agent
@@ -43,6 +46,7 @@ from smp_planner.planners.bump_policy import (
     BumpPolicy,
     Looks,
     NetworkShape,
+    hand_paths,
     look,
     rows_of,
     stacked,
@@ -50,7 +54,7 @@ from smp_planner.planners.bump_policy import (
 from smp_planner.planning.bumps import (
     BumpedMean,
     SoftenedCheck,
-    bump_functions,
+    bump_phases,
     bumped_mean,
     moved,
     scale_of,
@@ -60,13 +64,11 @@ from smp_planner.torch_threads import one_thread
 
 __all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss"]
 
-_SAMPLES, _STRIDE = 200, 5
-"""Samples of a trajectory, and every how many of them the reward looks at one."""
+_STRIDE = 5
+"""Of the samples of a trajectory, every how many of them are looked at."""
 
-import os
-
-_FLOOR, _SOFTNESS = -float(os.environ.get("FL", "0.15")), 0.01
-"""m, least clearance told apart by the reward, and its softness."""
+_FLOOR, _ENOUGH = -0.15, 0.01
+"""m, least clearance told apart by the reward, and that from which on more is worth no more."""
 
 FIRST_SEED = 40_000
 """Tuning seed of the first training scene of a training with seed 0."""
@@ -75,31 +77,47 @@ _SEEDS = 5_000
 """Seeds between the first scenes of two trainings."""
 
 
-@dataclass(frozen=True)
-class BumpSettings:
+class BumpSettings(BaseModel):
     """Settings of a training.
 
     Attributes:
-        functions: of the phase in each joint.
+        bumps: on the mean of each joint.
         scenes: training scenes.
         batch: scenes of an iteration.
         rollouts: actions in each.
         epochs: steps of the gradient for each batch.
         clip: ε of the clipped gradient.
         learning_rate: of Adam.
+        std: rad, standard deviation of actions in the beginning.
         shift: m, standard deviation of the shift of obstacles from visit to visit.
         exchanged: share of the visits with the obstacles of another scene.
     """
 
-    functions: int = 4
-    scenes: int = 240
-    batch: int = 48
-    rollouts: int = 16
-    epochs: int = 3
-    clip: float = 0.2
-    learning_rate: float = 1e-3
-    shift: float = 0.015
-    exchanged: float = 0.3
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bumps: int = Field(default=4, ge=1, le=50)
+    scenes: int = Field(default=240, ge=1)
+    batch: int = Field(default=48, ge=1)
+    rollouts: int = Field(default=16, ge=2)
+    epochs: int = Field(default=6, ge=1)
+    clip: float = Field(default=0.2, gt=0.0, lt=1.0)
+    learning_rate: float = Field(default=3e-3, gt=0.0, allow_inf_nan=False)
+    std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    shift: float = Field(default=0.015, ge=0.0, allow_inf_nan=False)
+    exchanged: float = Field(default=0.3, ge=0.0, le=1.0)
+
+    @classmethod
+    def from_json(cls, path: Path, task: str) -> BumpSettings:
+        """Read the settings for a task: those of ``"*"`` in a JSON file, and the task's own.
+
+        Raises:
+            OSError: there is no such file.
+            ValueError: it is not JSON, or a setting is unknown or out of range.
+        """
+        content = parse_json(read_file(path), str(path))
+        if not isinstance(content, dict):
+            raise ValueError(f"{path} must hold settings by task, got {shown(content)}")
+        return cls.model_validate({**content.get("*", {}), **content.get(task, {})})
 
 
 @dataclass(frozen=True)
@@ -187,7 +205,7 @@ class BumpTraining:
             "task": task,
             "difficulties": list(difficulties),
             "seed": seed,
-            "settings": asdict(settings),
+            "settings": settings.model_dump(),
         }
         text = json.dumps(description, indent=2) + "\n"
         begun = folder / "run.json"
@@ -198,13 +216,41 @@ class BumpTraining:
         self._planner = primitive_of(task)
         self._components = self._planner.prior.components()
         torch.manual_seed(seed)
-        actions = settings.functions * self._planner.prior.single.dimension
-        self.policy = BumpPolicy(NetworkShape(actions, len(self._components), agent == "mp_rl"))
+        actions = settings.bumps * self._planner.prior.single.dimension
+        shape = NetworkShape(actions, len(self._components), agent == "mp_rl")
+        self.policy = BumpPolicy(shape, settings.std)
         self._optimiser = torch.optim.Adam(self.policy.parameters(), settings.learning_rate)
         self.iteration, self.cpu_seconds, self.curve = 0, 0.0, []  # type: ignore[var-annotated]
         self._scenes: list[Scene] = []
         self._places: list[_Place] = []
         self._restore()
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The training scenes, once they are drawn."""
+        return tuple(self._scenes)
+
+    def mean_trajectory(self, problem: Problem) -> FloatArray:
+        """Return the trajectory (200, 6) rad of the likeliest component's mean action.
+
+        Raises:
+            ValueError: a component does not reach the goal.
+        """
+        means = self._means(problem)
+        if means is None:
+            raise ValueError("problem must have a goal within reach of all components")
+        with torch.no_grad():
+            found = self.policy(stacked([look(means, problem.movable)]))
+            side = int(found.choice[0].argmax())
+            numbers = (found.mean[0, side] * self.policy.scale).numpy().astype(np.float64)
+        return np.asarray(means[side].trajectories(numbers[None])[0])
+
+    def _means(self, problem: Problem) -> list[BumpedMean] | None:
+        """Return the conditioned mean of each component; None where one is out of reach."""
+        phases, plans = bump_phases(self._settings.bumps), self._planner.plan_settings
+        means = [bumped_mean(each, problem, plans, phases) for each in self._components]
+        reached = [each for each in means if each is not None]
+        return reached if len(reached) == len(means) else None
 
     @property
     def trajectories(self) -> int:
@@ -238,29 +284,20 @@ class BumpTraining:
             self.cpu_seconds = spent + time.process_time() - begin
 
     def _pose(self) -> None:
-        functions = bump_functions(self._settings.functions, _SAMPLES)
-        plans = self._planner.plan_settings
-        found: list[list[BumpedMean]] = []
-        for problem in posed(self._scenes):
-            means = [bumped_mean(each, problem, plans, functions) for each in self._components]
-            reached = [each for each in means if each is not None]
-            # A goal beyond the reach of one side would need another shape.
-            if len(reached) == len(means):
-                found.append(reached)
+        # A goal beyond the reach of one side would need another shape.
+        found = [means for problem in posed(self._scenes) if (means := self._means(problem))]
         if self.iteration == 0:
             scale = scale_of([each for means in found for each in means])
             self.policy.scale.copy_(torch.from_numpy(scale))
         self._places = []
         for means in found:
-            context, _ = look(means, ())
-            hand = context[:, -24:].reshape(len(means), 8, 3).astype(np.float64)
             self._places.append(
                 _Place(
                     means[0].problem,
                     np.stack([each.mean[::_STRIDE] for each in means]),
                     np.stack([each.directions[:, ::_STRIDE] for each in means]),
-                    context,
-                    hand,
+                    look(means, ())[0],
+                    hand_paths(means),
                 )
             )
 
@@ -306,13 +343,13 @@ class BumpTraining:
         return AgentCard(
             agent=self._agent,
             task=self._task,
-            functions=self._settings.functions,
+            bumps=self._settings.bumps,
             network=asdict(self.policy.shape),
             training={
                 "difficulties": list(self._difficulties),
                 "seed": self._seed,
                 "first_scene": FIRST_SEED + _SEEDS * self._seed,
-                "settings": asdict(self._settings),
+                "settings": self._settings.model_dump(),
                 "iterations": self.iteration,
                 "trajectories": self.trajectories,
                 "cpu_seconds": round(self.cpu_seconds, 1),
@@ -320,8 +357,8 @@ class BumpTraining:
             scores=scores,
         )
 
-    def _visit(self, rng: np.random.Generator) -> tuple[_Place, SoftenedCheck, Any]:
-        """Return a scene, the check of it as it is met now, and what the network sees."""
+    def _met(self, rng: np.random.Generator) -> tuple[_Place, Problem, Any]:
+        """Return a training scene, the problem that it is now, and what the network sees."""
         place = self._places[rng.integers(len(self._places))]
         origin = place
         if rng.random() < self._settings.exchanged:
@@ -332,10 +369,21 @@ class BumpTraining:
             o.model_copy(update={"position": tuple((np.array(o.position) + by).tolist())})
             for o, by in zip(movable, shift, strict=True)
         )
-        problem = _with_obstacles(place.problem, met)
+        seen = place.context, rows_of(place.hand, met)
+        return place, _with_obstacles(place.problem, met), seen
+
+    def _step(self, loss: torch.Tensor) -> None:
+        self._optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
+        self._optimiser.step()
+
+    def _visit(self, rng: np.random.Generator) -> tuple[_Place, SoftenedCheck, Any]:
+        """Return a scene, the check of it as it is met now, and what the network sees."""
+        place, problem, seen = self._met(rng)
         limit = self._planner.plan_settings.duration_limit
         check = SoftenedCheck(problem, place.means.shape[1], _FLOOR, limit)
-        return place, check, (place.context, rows_of(place.hand * 0.3, met))
+        return place, check, seen
 
     def _iterate(self) -> FloatArray:
         """Learn from one batch; return its mean reward, shares of clear trajectories and scenes."""
@@ -357,17 +405,14 @@ class BumpTraining:
                 paths = moved(place.means[side], place.directions[side], numbers[index, chosen])
                 clearance = check.clearance(paths)
                 clear[index, chosen] = clearance > 0.0
-                reward[index, chosen] = np.minimum(clearance, _SOFTNESS) / -_FLOOR
+                reward[index, chosen] = np.minimum(clearance, _ENOUGH) / -_FLOOR
         reward += clear
         advantage = reward - reward.mean(axis=1, keepdims=True)
         advantage /= advantage.std() + 1e-6
         advantages = torch.from_numpy(advantage.astype(np.float32))
         for _ in range(settings.epochs):
             loss = clipped_loss(policy(looks), component, action, before, advantages, settings.clip)
-            self._optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
-            self._optimiser.step()
+            self._step(loss)
         return np.array([reward.mean(), clear.mean(), clear.any(axis=1).mean()])
 
     def _keep(self) -> None:

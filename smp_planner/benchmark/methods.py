@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from smp_gym.observation import Sensing
 from smp_gym.rollout import Policy
 from smp_gym.suites import Cell
 from smp_planner.planners import registry
@@ -47,7 +46,7 @@ class Acting:
     def policy(
         self,
         task: str,
-        sensing: Sensing = "exact",
+        sensing: str = "exact",
         *,
         replan_every: int | None = None,
         latency: int = LATENCY,

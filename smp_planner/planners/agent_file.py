@@ -35,7 +35,7 @@ class AgentCard:
     Attributes:
         agent: name of the method.
         task: that it was trained for.
-        functions: of the phase, see `smp_planner.planning.bumps.bump_functions`.
+        bumps: on the mean of each joint, see `smp_planner.planning.bumps.bump_phases`.
         network: fields of its `NetworkShape`.
         training: difficulties and seeds of its scenes, settings, iterations, trajectories that were
             checked, and CPU seconds, the drawing of scenes included.
@@ -44,7 +44,7 @@ class AgentCard:
 
     agent: str
     task: str
-    functions: int
+    bumps: int
     network: Mapping[str, Any]
     training: Mapping[str, Any]
     scores: Mapping[str, Any]

@@ -10,6 +10,7 @@ the obstacle's own frame. `detour` sees nothing: its distribution is a constant.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,7 +26,16 @@ from smp_gym.robot.kinematics import end_effector_pose
 from smp_gym.scene import SHAPES, Obstacle
 from smp_planner.planning.bumps import BumpedMean
 
-__all__ = ["ActionDistribution", "BumpPolicy", "Looks", "NetworkShape", "look", "stacked"]
+__all__ = [
+    "ActionDistribution",
+    "BumpPolicy",
+    "Looks",
+    "NetworkShape",
+    "hand_paths",
+    "look",
+    "rows_of",
+    "stacked",
+]
 
 _PHASES = 8
 """Samples of the conditioned mean that the network sees."""
@@ -36,11 +46,8 @@ _ROW = len(SHAPES) + 3 + 9 + 3 + 3 + 3 * _PHASES
 _LENGTH = 0.3
 """m, unit of lengths in the network."""
 
-import os
-
-_FIRST_STD = float(os.environ.get("STD", "0.2"))
 _LEAST_STD = 0.05
-"""rad, of actions in the beginning, and at least."""
+"""rad, standard deviation of actions at least."""
 
 Numbers = NDArray[np.float32]
 
@@ -76,6 +83,17 @@ class Looks(NamedTuple):
     present: Tensor
 
 
+def _seen_of(means: Sequence[BumpedMean]) -> FloatArray:
+    """Return the configurations (C, 8, 6) rad of means that the network sees."""
+    chosen = np.linspace(0, len(means[0].mean) - 1, _PHASES).round().astype(np.int64)
+    return np.stack([each.mean[chosen] for each in means])
+
+
+def hand_paths(means: Sequence[BumpedMean]) -> FloatArray:
+    """Return the positions (C, 8, 3) m of the hand along means."""
+    return np.asarray(end_effector_pose(_seen_of(means))[..., :3, 3])
+
+
 def look(means: Sequence[BumpedMean], obstacles: Sequence[Obstacle]) -> tuple[Numbers, Numbers]:
     """Return what the network sees of one scene: context (C, 72) and rows (C, M, R).
 
@@ -83,11 +101,8 @@ def look(means: Sequence[BumpedMean], obstacles: Sequence[Obstacle]) -> tuple[Nu
         means: of the components.
         obstacles: of the scene, M of them, that are no fixtures of the task.
     """
-    chosen = np.linspace(0, len(means[0].mean) - 1, _PHASES).round().astype(np.int64)
-    configurations = np.stack([each.mean[chosen] for each in means])
-    hand = end_effector_pose(configurations.reshape(-1, configurations.shape[-1]))[:, :3, 3]
-    hand = hand.reshape(len(means), _PHASES, 3)
-    parts = [configurations.reshape(len(means), -1), hand.reshape(len(means), -1) / _LENGTH]
+    hand = hand_paths(means)
+    parts = [_seen_of(means).reshape(len(means), -1), hand.reshape(len(means), -1) / _LENGTH]
     context = np.concatenate(parts, axis=1).astype(np.float32)
     return context, rows_of(hand, obstacles)
 
@@ -157,6 +172,7 @@ class BumpPolicy(nn.Module):
 
     Args:
         shape: of the network.
+        std: rad, standard deviation of actions before any training.
 
     Attributes:
         scale: (F,) by which an action is multiplied to be the numbers of a bumped mean.
@@ -164,10 +180,10 @@ class BumpPolicy(nn.Module):
 
     scale: Tensor
 
-    def __init__(self, shape: NetworkShape) -> None:
+    def __init__(self, shape: NetworkShape, std: float = 0.2) -> None:
         super().__init__()
         self.shape = shape
-        self.log_std = nn.Parameter(torch.full((shape.actions,), np.log(_FIRST_STD)))
+        self.log_std = nn.Parameter(torch.full((shape.actions,), math.log(std)))
         self.register_buffer("scale", torch.ones(shape.actions))
         if not shape.sees:
             self.constant = nn.Parameter(torch.zeros(shape.components, 1 + shape.actions))
@@ -188,8 +204,13 @@ class BumpPolicy(nn.Module):
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
 
-    def forward(self, looks: Looks) -> ActionDistribution:
-        """Return the distribution over actions in B scenes."""
+    def forward(self, looks: Looks, components: Sequence[int] | None = None) -> ActionDistribution:
+        """Return the distribution over actions in B scenes.
+
+        Args:
+            looks: what is seen of them.
+            components: of the prior that these are of; by default all of them.
+        """
         if self.shape.sees:
             context = self.context(looks.context)
             beside = context[:, :, None].expand(-1, -1, looks.rows.shape[2], -1)
@@ -199,6 +220,7 @@ class BumpPolicy(nn.Module):
             pooled = torch.cat([each.sum(2) / count, each.amax(2), context], -1)
             found = self.whole(pooled)
         else:
-            found = self.constant.expand(len(looks.context), -1, -1)
+            constant = self.constant if components is None else self.constant[list(components)]
+            found = constant.expand(len(looks.context), -1, -1)
         std = self.log_std.exp().clamp(min=_LEAST_STD)
         return ActionDistribution(found[..., 0].log_softmax(-1), found[..., 1:], std)

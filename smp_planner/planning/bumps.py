@@ -2,14 +2,14 @@
 
 To the mean of the primitive, conditioned as `smp` conditions it, smooth functions of the phase are
 added in each joint. Where the trajectory is held on its course (via-points, the poses of a push),
-what a bump would change there is conditioned away: of a Gaussian prior, adding it before
-conditioning adds (I - K H) of it afterwards. So every trajectory meets the constraints as the mean
-does, and no number is lost on what they forbid.
+they vanish: bumps of the primitive's own shape do by themselves, and of given functions what they
+would change there is conditioned away: of a Gaussian prior, adding one before conditioning adds
+(I - K H) of it afterwards. So every trajectory meets the constraints as the mean does, and no
+number is lost on what they forbid.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,8 +33,9 @@ from smp_planner.torch_threads import one_thread
 __all__ = [
     "BumpedMean",
     "SoftenedCheck",
-    "bump_functions",
+    "bump_phases",
     "bumped_mean",
+    "mean_with_functions",
     "moved",
     "scale_of",
     "softened",
@@ -44,20 +45,10 @@ _BETWEEN = 0.003
 """Metres of clearance demanded at the samples of the softened check, for what lies between them."""
 
 
-def bump_functions(count: int, samples: int) -> FloatArray:
-    """Return (F, T): raised cosines at equal distances, each zero with its slope at both ends.
-
-    Neighbours overlap by half, and away from the ends all of them sum to one.
-
-    Args:
-        count: F.
-        samples: T equal steps of phase.
-    """
+def bump_phases(count: int) -> FloatArray:
+    """Return the phases (B,) of so many bumps, at equal distances from each other and the ends."""
     count = checked_count("count", count)
-    phase = np.linspace(0.0, 1.0, samples)
-    centre = np.arange(1, count + 1)[:, None] / (count + 1)
-    reach = np.clip((phase - centre) * (count + 1), -1.0, 1.0)
-    return np.asarray(0.5 * (1.0 + np.cos(math.pi * reach)))
+    return np.arange(1, count + 1) / (count + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,32 +93,72 @@ def moved(mean: FloatArray, directions: FloatArray, numbers: FloatArray) -> Floa
 
 
 def bumped_mean(
-    prior: ProMP, problem: Problem, settings: PlanSettings, functions: FloatArray
+    prior: ProMP, problem: Problem, settings: PlanSettings, phases: FloatArray, samples: int = 200
 ) -> BumpedMean | None:
-    """Return the conditioned mean of a problem, or None if its goal is out of reach.
+    """Return the conditioned mean with bumps of the primitive's own shape, or None out of reach.
 
-    Of goals or poses between which the primitive may choose it is the likeliest.
+    A bump is how the conditioned primitive changes when one joint is observed elsewhere at one
+    phase, the covariance of the weights with the joint there: as smooth, and as wide, as the
+    primitive itself, and gone where it is held.
 
     Args:
         prior: a component of it.
-        problem: to be conditioned on.
+        problem: to be conditioned on; None is returned where its goal is out of reach.
+        settings: widths of the constraints.
+        phases: (B,) of the bumps; F is B times D. A number of 1 would move a joint by 1 rad there,
+            were there no constraints.
+        samples: T equal steps of phase.
+    """
+    posterior = _conditioned(prior, problem, settings)
+    if posterior is None:
+        return None
+    with one_thread():
+        at = prior.basis.values(torch.from_numpy(phases))
+        joints = torch.eye(prior.dimension, dtype=at.dtype)
+        rows = torch.einsum("bk,jd->bjkd", at, joints).flatten(0, 1).flatten(1)
+        variance = (rows @ prior.factor).square().sum(-1, keepdim=True)
+        changes = rows @ posterior.factor @ posterior.factor.mT / variance
+        return _changed(prior, posterior, problem, changes, samples)
+
+
+def mean_with_functions(
+    prior: ProMP, problem: Problem, settings: PlanSettings, functions: FloatArray
+) -> BumpedMean | None:
+    """Return the conditioned mean with given functions of the phase, or None out of reach.
+
+    Args:
+        prior: a component of it.
+        problem: to be conditioned on; None is returned where its goal is out of reach.
         settings: widths of the constraints.
         functions: (B, T) of the phase, at equal steps; F is B times D.
     """
-    samples = functions.shape[1]
+    posterior = _conditioned(prior, problem, settings)
+    if posterior is None:
+        return None
+    with one_thread():
+        changes = _left_of(prior, posterior, torch.from_numpy(functions))
+        return _changed(prior, posterior, problem, changes, functions.shape[1])
+
+
+def _conditioned(prior: ProMP, problem: Problem, settings: PlanSettings) -> ProMP | None:
+    """Return the likeliest branch of the conditioned primitive, or None if there is none."""
     with one_thread():
         try:
             branches = condition(prior, problem.constraints, settings)
         except UnreachableError:
             return None
-        posterior = max(branches, key=lambda branch: branch[1])[0]
-        changes = _changes(prior, posterior, torch.from_numpy(functions))
-        mean = posterior.trajectory(posterior.mean, samples).numpy()
-        directions = prior.trajectory(changes, samples).numpy()
+    return max(branches, key=lambda branch: branch[1])[0]
+
+
+def _changed(
+    prior: ProMP, posterior: ProMP, problem: Problem, changes: Tensor, samples: int
+) -> BumpedMean:
+    mean = posterior.trajectory(posterior.mean, samples).numpy()
+    directions = prior.trajectory(changes, samples).numpy()
     return BumpedMean(problem, posterior, changes, mean, directions)
 
 
-def _changes(prior: ProMP, posterior: ProMP, functions: Tensor) -> Tensor:
+def _left_of(prior: ProMP, posterior: ProMP, functions: Tensor) -> Tensor:
     """Return (F, K*D): what (I - K H) leaves of each function in each joint."""
     phase = torch.linspace(0.0, 1.0, functions.shape[1], dtype=torch.float64)
     values = prior.basis.values(phase)

@@ -19,7 +19,7 @@ from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.sampling.blind_detours import FUNCTIONS, detour_functions
 from smp_planner.agents.posed_scenes import primitive_of
 from smp_planner.planning.assessment import assess
-from smp_planner.planning.bumps import BumpedMean, SoftenedCheck, bumped_mean, scale_of
+from smp_planner.planning.bumps import BumpedMean, SoftenedCheck, mean_with_functions, scale_of
 from smp_planner.planning.problem import Problem
 
 __all__ = [
@@ -91,7 +91,7 @@ def conditioned_course(task: str, problem: Problem, component: int = 0) -> Bumpe
     """
     planner = primitive_of(task)
     prior = planner.prior.components()[component]
-    return bumped_mean(prior, problem, planner.plan_settings, detour_functions(_SAMPLES))
+    return mean_with_functions(prior, problem, planner.plan_settings, detour_functions(_SAMPLES))
 
 
 class _Scorer:
