@@ -58,7 +58,7 @@ def main(
             difficulties=names,
             seed=seed,
             settings=BumpSettings.from_json(
-                settings or asset_path("agents", "bump_settings.json"), task
+                settings or asset_path("agents", "bump_settings.json"), agent, task
             ),
         )
     except (OSError, ValueError) as error:

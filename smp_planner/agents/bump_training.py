@@ -107,8 +107,8 @@ class BumpSettings(BaseModel):
     exchanged: float = Field(default=0.3, ge=0.0, le=1.0)
 
     @classmethod
-    def from_json(cls, path: Path, task: str) -> BumpSettings:
-        """Read the settings for a task: those of ``"*"`` in a JSON file, and the task's own.
+    def from_json(cls, path: Path, agent: str, task: str) -> BumpSettings:
+        """Read settings: those of ``"*"`` in a JSON file, and an agent's and a task's own.
 
         Raises:
             OSError: there is no such file.
@@ -116,8 +116,11 @@ class BumpSettings(BaseModel):
         """
         content = parse_json(read_file(path), str(path))
         if not isinstance(content, dict):
-            raise ValueError(f"{path} must hold settings by task, got {shown(content)}")
-        return cls.model_validate({**content.get("*", {}), **content.get(task, {})})
+            raise ValueError(f"{path} must hold settings by name, got {shown(content)}")
+        chosen: dict[str, Any] = {}
+        for name in ("*", agent, task):
+            chosen |= content.get(name, {})
+        return cls.model_validate(chosen)
 
 
 @dataclass(frozen=True)

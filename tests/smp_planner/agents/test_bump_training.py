@@ -193,7 +193,7 @@ def test_damaged_files_and_wrong_agents_are_refused(trained, tmp_path):
     [
         ('{"*": {"rollouts": 1}}', "rollouts"),
         ('{"*": {"speed": 1}}', "speed"),
-        ("[]", "must hold settings by task"),
+        ("[]", "must hold settings by name"),
         ("{", "JSON"),
     ],
 )
@@ -201,4 +201,4 @@ def test_bad_settings_are_named(tmp_path, text, message):
     path = tmp_path / "settings.json"
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        BumpSettings.from_json(path, "Placement")
+        BumpSettings.from_json(path, "mp_rl", "Placement")
