@@ -8,8 +8,12 @@ import pytest
 import torch
 
 from smp_gym.scene import TASKS
+from smp_gym.suites import Cell
 from smp_planner.agents.bump_training import BumpSettings, BumpTraining, clipped_loss
 from smp_planner.agents.posed_scenes import posed
+from smp_planner.agents.shipping import scores_of, ship_agent
+from smp_planner.benchmark.episodes import EpisodeRow
+from smp_planner.benchmark.manifest import EpisodeStore, make_manifest
 from smp_planner.planners import make_planner
 from smp_planner.planners.agent_file import read_agent, shipped_agent, write_agent
 from smp_planner.planners.bump_planner import LEARNED, BumpPlanner
@@ -146,6 +150,32 @@ def test_the_agent_from_its_file_is_the_trained_one(trained):
     )
     (alone,) = mean.plan([problem])
     np.testing.assert_allclose(alone.trajectories, plan.trajectories[:1], atol=1e-12)
+
+
+def test_a_shipped_agent_acts_as_before_and_carries_its_scores(trained, tmp_path):
+    _, _, halves = trained
+    manifest = make_manifest([Cell("Placement", "easy")], ["promp"], 7, 2)
+    manifest = replace(manifest, methods=("mp_rl",), specs={"mp_rl": "mp_rl"})
+    results = tmp_path / "results"
+    values = {"collision": False, "cause": "", "contact": "", "goal_error": 0.0}
+    values |= {"path_length": 1.0, "clearance": 0.01, "steps": 9, "difficulty": "easy"}
+    with EpisodeStore(results, manifest) as store:
+        for seed, success in ((7, True), (8, False)):
+            row = EpisodeRow(task="Placement", method="mp_rl", seed=seed, success=success, **values)
+            store.append(row)
+    path = ship_agent(halves / "agent.json", results, tmp_path)
+    assert path == tmp_path / "mp_rl_Placement.json"
+    trained_weights = (halves / "agent.safetensors").read_bytes()
+    assert path.with_suffix(".safetensors").read_bytes() == trained_weights
+    scores = read_agent(path)[1].scores["Placement_easy"]
+    assert scores["seeds"] == [7, 8]
+    # Wilson's interval of 1 of 2, from his formula.
+    z = 1.959964
+    half = z / (1 + z**2 / 2) * np.sqrt(0.25 / 2 + z**2 / 16)
+    assert scores["mp_rl"]["count"] == 2
+    assert scores["mp_rl"]["low"] == pytest.approx(0.5 - half, abs=1e-4)
+    with pytest.raises(ValueError, match="must hold episodes of mp_rl on DrawS"):
+        scores_of(results, "mp_rl", "DrawS")
 
 
 @pytest.mark.parametrize("task", TASKS)
