@@ -33,7 +33,9 @@ def main(
     ] = "medium",
     agent: Annotated[str, typer.Option(help=f"One of {', '.join(LEARNED)}.")] = "mp_rl",
     seed: Annotated[int, typer.Option(min=0, max=5, help="Of scenes, weights, actions.")] = 0,
-    iterations: Annotated[int, typer.Option(min=1, help="Batches in all.")] = 400,
+    iterations: Annotated[
+        int, typer.Option(min=1, help="Steps of the costs and batches in all.")
+    ] = 600,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; by default below results/agents/.")
     ] = None,

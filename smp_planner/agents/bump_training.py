@@ -60,6 +60,7 @@ from smp_planner.planning.bumps import (
     scale_of,
 )
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.target import SceneTarget
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss"]
@@ -69,6 +70,9 @@ _STRIDE = 5
 
 _FLOOR, _ENOUGH = -0.15, 0.01
 """m, least clearance told apart by the reward, and that from which on more is worth no more."""
+
+_STEEPEST = 20.0
+"""Norm of the derivative of the costs by an action from which on it is cut."""
 
 FIRST_SEED = 40_000
 """Tuning seed of the first training scene of a training with seed 0."""
@@ -86,6 +90,9 @@ class BumpSettings(BaseModel):
         batch: scenes of an iteration.
         rollouts: actions in each.
         epochs: steps of the gradient for each batch.
+        descents: steps along the derivative of the costs, before the first batch.
+        descent_batch: scenes of each of them.
+        draws: actions in each of these, for each component.
         clip: ε of the clipped gradient.
         learning_rate: of Adam.
         std: rad, standard deviation of actions in the beginning.
@@ -102,7 +109,10 @@ class BumpSettings(BaseModel):
     epochs: int = Field(default=6, ge=1)
     clip: float = Field(default=0.2, gt=0.0, lt=1.0)
     learning_rate: float = Field(default=3e-3, gt=0.0, allow_inf_nan=False)
-    std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    descents: int = Field(default=100, ge=0)
+    descent_batch: int = Field(default=16, ge=1)
+    draws: int = Field(default=2, ge=1)
+    std: float = Field(default=0.15, gt=0.0, allow_inf_nan=False)
     shift: float = Field(default=0.015, ge=0.0, allow_inf_nan=False)
     exchanged: float = Field(default=0.3, ge=0.0, le=1.0)
 
@@ -150,6 +160,7 @@ class _Place(NamedTuple):
     problem: Problem
     means: FloatArray
     directions: FloatArray
+    gram: FloatArray
     context: Any
     hand: FloatArray
 
@@ -223,9 +234,11 @@ class BumpTraining:
         shape = NetworkShape(actions, len(self._components), agent == "mp_rl")
         self.policy = BumpPolicy(shape, settings.std)
         self._optimiser = torch.optim.Adam(self.policy.parameters(), settings.learning_rate)
-        self.iteration, self.cpu_seconds, self.curve = 0, 0.0, []  # type: ignore[var-annotated]
+        self.iteration, self.trajectories, self.cpu_seconds = 0, 0, 0.0
+        self.curve: list[CurvePoint] = []
         self._scenes: list[Scene] = []
         self._places: list[_Place] = []
+        self._targets: list[tuple[_Place, SceneTarget, Any]] = []
         self._restore()
 
     @property
@@ -254,11 +267,6 @@ class BumpTraining:
         means = [bumped_mean(each, problem, plans, phases) for each in self._components]
         reached = [each for each in means if each is not None]
         return reached if len(reached) == len(means) else None
-
-    @property
-    def trajectories(self) -> int:
-        """Number of trajectories that were checked so far."""
-        return self.iteration * self._settings.batch * self._settings.rollouts
 
     def prepare(self, progress: Callable[[int, int], None] = lambda done, total: None) -> None:
         """Draw the training scenes that the folder does not hold, and pose all of them.
@@ -299,6 +307,7 @@ class BumpTraining:
                     means[0].problem,
                     np.stack([each.mean[::_STRIDE] for each in means]),
                     np.stack([each.directions[:, ::_STRIDE] for each in means]),
+                    np.stack([each.gram() for each in means]),
                     look(means, ())[0],
                     hand_paths(means),
                 )
@@ -324,7 +333,8 @@ class BumpTraining:
         with one_thread():
             while self.iteration < iterations:
                 begin = time.process_time()
-                recent.append(self._iterate())
+                descending = self.iteration < self._settings.descents
+                recent.append(self._descend() if descending else self._iterate())
                 self.iteration += 1
                 self.cpu_seconds += time.process_time() - begin
                 progress(self.iteration, float(recent[-1][1]))
@@ -375,6 +385,57 @@ class BumpTraining:
         seen = place.context, rows_of(place.hand, met)
         return place, _with_obstacles(place.problem, met), seen
 
+    def _target(self, rng: np.random.Generator) -> tuple[_Place, SceneTarget, Any]:
+        """Return a scene, its costs as it is met now, and what the network sees."""
+        place, problem, seen = self._met(rng)
+        steps = place.means.shape[1]
+        plans = self._planner.plan_settings.model_copy(update={"planning_steps": steps})
+        return place, SceneTarget(problem, plans), seen
+
+    def _descend(self) -> FloatArray:
+        """Take one step along the derivative of the costs; return what `_iterate` does.
+
+        What descends is the expectation of `smp`'s costs and of the log-prior over actions, whose
+        derivative goes through the drawn actions to their mean (Kingma and Welling 2014): up to the
+        entropy, the divergence from the posterior that `smp` draws from.
+        """
+        settings, policy = self._settings, self.policy
+        rng = np.random.default_rng([self._seed, 2, self.iteration])
+        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+        if not self._targets:
+            self._targets = [self._target(rng) for _ in self._places]
+        self._targets[rng.integers(len(self._targets))] = self._target(rng)
+        chosen = rng.permutation(len(self._targets))[: settings.descent_batch]
+        visits = [self._targets[index] for index in chosen]
+        found = policy(stacked([seen for _, _, seen in visits]))
+        shape = (*found.mean.shape[:2], settings.draws, policy.shape.actions)
+        action = found.mean[:, :, None] + found.std.detach() * torch.randn(
+            shape, generator=generator
+        )
+        numbers = (action.detach() * policy.scale).numpy().astype(np.float64)
+        slope, value = np.empty(shape), np.empty(shape[:3])
+        progress = self.iteration / settings.descents
+        for index, (place, target, _) in enumerate(visits):
+            for side in range(shape[1]):
+                taken = numbers[index, side]
+                paths = moved(place.means[side], place.directions[side], taken)
+                cost, of_paths = target.evaluate(np.ascontiguousarray(paths), progress)
+                pulled = taken @ place.gram[side]
+                value[index, side] = cost + 0.5 * (pulled * taken).sum(axis=1)
+                slope[index, side] = pulled + np.einsum(
+                    "ctd,ftd->cf", of_paths, place.directions[side]
+                )
+        slope *= policy.scale.numpy()
+        # Deep inside obstacles the costs are steep: what counts there is the direction.
+        norm = np.linalg.norm(slope, axis=-1, keepdims=True)
+        slope *= np.minimum(1.0, _STEEPEST / np.maximum(norm, 1e-9))
+        through = (action * torch.from_numpy(slope.astype(np.float32))).sum(-1).mean(-1)
+        costs = torch.from_numpy(value.mean(-1).astype(np.float32)) / _STEEPEST
+        share = found.choice.exp()
+        self._step((share.detach() * through + share * costs).sum(-1).mean())
+        self.trajectories += value.size
+        return np.array([-value.mean(), np.nan, np.nan])
+
     def _step(self, loss: torch.Tensor) -> None:
         self._optimiser.zero_grad()
         loss.backward()
@@ -416,6 +477,7 @@ class BumpTraining:
         for _ in range(settings.epochs):
             loss = clipped_loss(policy(looks), component, action, before, advantages, settings.clip)
             self._step(loss)
+        self.trajectories += reward.size
         return np.array([reward.mean(), clear.mean(), clear.any(axis=1).mean()])
 
     def _keep(self) -> None:
@@ -424,6 +486,7 @@ class BumpTraining:
             "policy": self.policy.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "iteration": self.iteration,
+            "trajectories": self.trajectories,
             "cpu_seconds": self.cpu_seconds,
             "curve": [asdict(point) for point in self.curve],
         }
@@ -440,7 +503,8 @@ class BumpTraining:
         content = torch.load(path, weights_only=True)
         self.policy.load_state_dict(content["policy"])
         self._optimiser.load_state_dict(content["optimiser"])
-        self.iteration, self.cpu_seconds = content["iteration"], content["cpu_seconds"]
+        self.iteration, self.trajectories = content["iteration"], content["trajectories"]
+        self.cpu_seconds = content["cpu_seconds"]
         self.curve = [CurvePoint(**point) for point in content["curve"]]
 
 
