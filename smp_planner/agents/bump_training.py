@@ -9,13 +9,19 @@ sample of a trajectory and with 3 mm for what lies between them: its least clear
 0.15 m, and 1 more if it is clear of everything, within joint limits and the limit of duration, and
 meets the constraints.
 
+Of a new policy hardly one action in a thousand is clear, which teaches little. So the first steps
+descend the costs that `smp` descends, whose derivative by an action is known: in a tenth of the
+time they come to where one in twenty is clear; then the costs no longer say what the check wants,
+and the reward takes over.
+
 A sampler's scene takes longer to draw than hundreds of trajectories to check, so each is met many
 times, but never twice the same: obstacles are shifted, and in a share of the visits they are those
 of another scene. The folder that a training writes holds
 
 - ``run.json``: agent, task, difficulties, seed and settings;
 - ``scenes.jsonl``: the training scenes, with the CPU seconds that drawing them took;
-- ``curve.csv``: rewards, CPU seconds and trajectories so far;
+- ``curve.csv``: rewards, CPU seconds and trajectories so far; shares of clear trajectories are
+  missing where costs were descended;
 - ``checkpoint.pt``: what it takes to go on exactly after an interruption;
 - ``agent.json`` and ``agent.safetensors``: the agent, see `smp_planner.planners.agent_file`.
 """
@@ -63,7 +69,7 @@ from smp_planner.planning.problem import Problem
 from smp_planner.planning.target import SceneTarget
 from smp_planner.torch_threads import one_thread
 
-__all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss"]
+__all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss", "costs_of_numbers"]
 
 _STRIDE = 5
 """Of the samples of a trajectory, every how many of them are looked at."""
@@ -141,7 +147,7 @@ class CurvePoint:
         iteration: number of batches so far.
         trajectories: that were checked so far.
         cpu_seconds: of the training so far, the drawing of scenes included.
-        reward: mean of the batches since the last row.
+        reward: mean of the batches since the last row, or less the mean of the costs.
         clear: share of their trajectories that met every demand.
         scenes_solved: share of their scenes with such a trajectory.
     """
@@ -185,6 +191,31 @@ def clipped_loss(
     """
     ratio = (found.log_prob(component, action) - before).exp()
     return -torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
+
+
+def costs_of_numbers(
+    target: SceneTarget,
+    mean: FloatArray,
+    directions: FloatArray,
+    gram: FloatArray,
+    numbers: FloatArray,
+    progress: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the costs (C,) of bumps, less the log-prior, and their derivative (C, F) by numbers.
+
+    Args:
+        target: costs of trajectories.
+        mean: (T, D) rad.
+        directions: (F, T, D) rad, of `BumpedMean`, as the next.
+        gram: (F, F).
+        numbers: (C, F).
+        progress: of the map's edge, see `SceneTarget.gradient`.
+    """
+    paths = np.ascontiguousarray(moved(mean, directions, numbers))
+    cost, of_paths = target.evaluate(paths, progress)
+    pulled = numbers @ gram
+    slope = pulled + np.einsum("ctd,ftd->cf", of_paths, directions)
+    return cost + 0.5 * (pulled * numbers).sum(axis=1), slope
 
 
 class BumpTraining:
@@ -392,6 +423,12 @@ class BumpTraining:
         plans = self._planner.plan_settings.model_copy(update={"planning_steps": steps})
         return place, SceneTarget(problem, plans), seen
 
+    def _renew_target(self, iteration: int) -> np.random.Generator:
+        """Replace one of the targets, as of an iteration; return its generator of randomness."""
+        rng = np.random.default_rng([self._seed, 2, iteration])
+        self._targets[rng.integers(len(self._targets))] = self._target(rng)
+        return rng
+
     def _descend(self) -> FloatArray:
         """Take one step along the derivative of the costs; return what `_iterate` does.
 
@@ -400,11 +437,13 @@ class BumpTraining:
         entropy, the divergence from the posterior that `smp` draws from.
         """
         settings, policy = self._settings, self.policy
-        rng = np.random.default_rng([self._seed, 2, self.iteration])
-        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         if not self._targets:
-            self._targets = [self._target(rng) for _ in self._places]
-        self._targets[rng.integers(len(self._targets))] = self._target(rng)
+            first = np.random.default_rng([self._seed, 3])
+            self._targets = [self._target(first) for _ in self._places]
+            for before in range(self.iteration):
+                self._renew_target(before)
+        rng = self._renew_target(self.iteration)
+        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         chosen = rng.permutation(len(self._targets))[: settings.descent_batch]
         visits = [self._targets[index] for index in chosen]
         found = policy(stacked([seen for _, _, seen in visits]))
@@ -418,12 +457,13 @@ class BumpTraining:
         for index, (place, target, _) in enumerate(visits):
             for side in range(shape[1]):
                 taken = numbers[index, side]
-                paths = moved(place.means[side], place.directions[side], taken)
-                cost, of_paths = target.evaluate(np.ascontiguousarray(paths), progress)
-                pulled = taken @ place.gram[side]
-                value[index, side] = cost + 0.5 * (pulled * taken).sum(axis=1)
-                slope[index, side] = pulled + np.einsum(
-                    "ctd,ftd->cf", of_paths, place.directions[side]
+                value[index, side], slope[index, side] = costs_of_numbers(
+                    target,
+                    place.means[side],
+                    place.directions[side],
+                    place.gram[side],
+                    taken,
+                    progress,
                 )
         slope *= policy.scale.numpy()
         # Deep inside obstacles the costs are steep: what counts there is the direction.
