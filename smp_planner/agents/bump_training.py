@@ -124,7 +124,7 @@ class BumpSettings(BaseModel):
 
     @classmethod
     def from_json(cls, path: Path, agent: str, task: str) -> BumpSettings:
-        """Read settings: those of ``"*"`` in a JSON file, and an agent's and a task's own.
+        """Read settings: those of ``"*"`` in a JSON file, a task's, and an agent's.
 
         Raises:
             OSError: there is no such file.
@@ -134,7 +134,7 @@ class BumpSettings(BaseModel):
         if not isinstance(content, dict):
             raise ValueError(f"{path} must hold settings by name, got {shown(content)}")
         chosen: dict[str, Any] = {}
-        for name in ("*", agent, task):
+        for name in ("*", task, agent):
             chosen |= content.get(name, {})
         return cls.model_validate(chosen)
 
