@@ -77,11 +77,6 @@ class BumpedMean:
         """Return the weights (C, K*D) of numbers (C, F)."""
         return self.posterior.mean + torch.from_numpy(numbers) @ self.changes
 
-    def gram(self) -> FloatArray:
-        """Return the matrix (F, F) G with which `surprise` of numbers n is n G n / 2."""
-        latent = self.posterior.whiten(self.posterior.mean + self.changes)
-        return np.asarray((latent @ latent.mT).numpy())
-
     def surprise(self, numbers: FloatArray) -> FloatArray:
         """Return -log of the density (C,) of numbers (C, F) under the primitive, less a constant.
 
