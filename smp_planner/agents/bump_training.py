@@ -9,9 +9,9 @@ sample of a trajectory and with 3 mm for what lies between them: its least clear
 0.15 m, and 1 more if it is clear of everything, within joint limits and the limit of duration, and
 meets the constraints.
 
-To descend the costs that `smp` descends first, whose derivative by an action is known, comes to clear
-trajectories in a tenth of the time, but of training scenes alone: of 20 others the agent then solved
-1, and without it 7. So there is no such beginning.
+To descend the costs that `smp` descends first, whose derivative by an action is known, comes to
+clear trajectories in a tenth of the time, but of training scenes alone: of 20 others the agent then
+solved 1, and without it 7. So there is no such beginning.
 
 A sampler's scene takes longer to draw than hundreds of trajectories to check, so each is met many
 times, but never twice the same: obstacles are shifted, and in a share of the visits they are those
