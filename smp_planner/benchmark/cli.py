@@ -55,7 +55,8 @@ app = CommandLine(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     help=(
-        "Measure planners on randomised manipulation episodes, judged by the physics engine.\n\n"
+        "Measure planners and agents on randomised manipulation episodes, judged by the physics "
+        "engine.\n\n"
         "Start with [bold]smp-bench list[/bold], then for example:\n\n"
         "[green]smp-bench run --methods smp,promp --episodes 20 --out results/first[/green]"
     ),
@@ -78,11 +79,11 @@ def list_command() -> None:
         TASKS,
     )
     from smp_gym.suites import SUITES
-    from smp_planner.planners.registry import installed_methods, known_methods
+    from smp_planner.benchmark.methods import known_methods_and_agents
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_row("[bold]tasks[/]", ", ".join(TASKS))
-    table.add_row("[bold]methods[/]", ", ".join((*known_methods(), *installed_methods())))
+    table.add_row("[bold]methods[/]", ", ".join(known_methods_and_agents()))
     table.add_row("[bold]difficulties[/]", ", ".join(DIFFICULTIES))
     table.add_row("[bold]families[/]", ", ".join(FAMILIES))
     table.add_row("[bold]sensing[/]", ", ".join(SENSINGS))
@@ -124,7 +125,9 @@ def run(
         str,
         typer.Option(
             metavar="NAMES",
-            help="Names of methods, separated by commas; name=module:Class is one of your own.",
+            help="Names of methods, separated by commas; name=module:Class is a planner of your "
+            "own, name=path.zip an agent that stable-baselines3 saved: loading it runs code that "
+            "the file holds, so name only files that you trust.",
         ),
     ] = "smp,promp",
     episodes: Annotated[

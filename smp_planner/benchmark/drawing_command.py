@@ -53,7 +53,12 @@ def draw_episodes(
 def draw(
     out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
-    method: Annotated[str, typer.Option(help="Name of the method, or name=module:Class.")] = "smp",
+    method: Annotated[
+        str,
+        typer.Option(
+            help="Name of the method, name=module:Class, or name=path.zip, which runs code."
+        ),
+    ] = "smp",
     difficulty: Difficulty = None,
     family: Family = None,
     sensing: Sensing = None,

@@ -177,14 +177,16 @@ def paint_scene(
 
 
 def _draw_space(axes: Any, played: PlayedEpisode, demonstrations: FloatArray) -> None:
-    plan = played.plan
-    paths = object_paths(plan.trajectories, carried_point(played.scene))
-    lines = [
-        SceneLine(path, _FREE if free else _COLLIDING)
-        for path, free in zip(paths, plan.collision_free, strict=True)
-    ]
+    plan, chosen, lines = played.plan, played.object_path, []
+    if plan is not None:
+        paths = object_paths(plan.trajectories, carried_point(played.scene))
+        chosen = paths[plan.chosen]
+        lines = [
+            SceneLine(path, _FREE if free else _COLLIDING)
+            for path, free in zip(paths, plan.collision_free, strict=True)
+        ]
     lines += [SceneLine(path, _DEMONSTRATION, 1.2, dashed=True) for path in demonstrations]
-    lines.append(SceneLine(paths[plan.chosen], _CHOSEN, 3.5, rimmed=True))
+    lines.append(SceneLine(chosen, _CHOSEN, 3.5, rimmed=True))
     paint_scene(axes, played.scene, lines)
 
 
@@ -194,14 +196,14 @@ def _draw_from_above(axes: Any, played: PlayedEpisode, demonstrations: FloatArra
     for bodies, color, alpha in ((bin_parts, _BIN, 0.4), (scene.obstacles, _OBSTACLE, 0.8)):
         for body in bodies:
             axes.add_patch(Polygon(_outline(body), facecolor=color, alpha=alpha, edgecolor="none"))
-    paths = object_paths(plan.trajectories, carried_point(scene))[..., :2]
-    free = plan.collision_free
-    for chosen, color, width, alpha in (
-        (paths[~free], _COLLIDING, 0.8, 0.8),
-        (paths[free], _FREE, 0.8, 0.8),
-        (paths[[plan.chosen]], "white", 4.5, 1.0),
-        (paths[[plan.chosen]], _CHOSEN, 2.8, 1.0),
-    ):
+    executed = played.object_path[None, :, :2]
+    groups: list[tuple[FloatArray, str, float, float]] = []
+    if plan is not None:
+        paths = object_paths(plan.trajectories, carried_point(scene))[..., :2]
+        free, executed = plan.collision_free, paths[[plan.chosen]]
+        groups = [(paths[~free], _COLLIDING, 0.8, 0.8), (paths[free], _FREE, 0.8, 0.8)]
+    groups += [(executed, "white", 4.5, 1.0), (executed, _CHOSEN, 2.8, 1.0)]
+    for chosen, color, width, alpha in groups:
         axes.add_collection(LineCollection(list(chosen), colors=color, lw=width, alpha=alpha))
     axes.add_collection(
         LineCollection(
@@ -222,12 +224,17 @@ def _draw_from_above(axes: Any, played: PlayedEpisode, demonstrations: FloatArra
 
 def _legend_entries(played: PlayedEpisode, count: int) -> list[Any]:
     plan = played.plan
-    free = int(plan.collision_free.sum())
-    colliding = len(plan.collision_free) - free
+    of_particles = [Line2D([], [], color=_CHOSEN, lw=3.5, label="executed trajectory")]
+    if plan is not None:
+        free = int(plan.collision_free.sum())
+        colliding = len(plan.collision_free) - free
+        of_particles = [
+            Line2D([], [], color=_CHOSEN, lw=3.5, label="chosen particle"),
+            Line2D([], [], color=_FREE, lw=1.3, label=f"collision-free particles ({free})"),
+            Line2D([], [], color=_COLLIDING, lw=1.3, label=f"colliding particles ({colliding})"),
+        ]
     return [
-        Line2D([], [], color=_CHOSEN, lw=3.5, label="chosen particle"),
-        Line2D([], [], color=_FREE, lw=1.3, label=f"collision-free particles ({free})"),
-        Line2D([], [], color=_COLLIDING, lw=1.3, label=f"colliding particles ({colliding})"),
+        *of_particles,
         Line2D([], [], color=_DEMONSTRATION, lw=1.2, ls="--", label=f"demonstrations ({count})"),
         Line2D([], [], color=_ARM, lw=7, label="arm at the start", solid_capstyle="round"),
         Patch(color=_OBSTACLE, label="obstacles"),

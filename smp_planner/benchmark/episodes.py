@@ -17,9 +17,10 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.observation import SENSINGS, DecodedObservation, decode
 from smp_gym.registration import environment_id
-from smp_gym.rollout import FieldRecorder, Recorder, rollout
+from smp_gym.rollout import FieldRecorder, Policy, Recorder, rollout
 from smp_gym.scene import FAMILIES, Scene
 from smp_gym.suites import Cell
+from smp_planner.benchmark.methods import resolve_method
 from smp_planner.benchmark.row_table import compressed
 from smp_planner.planning.plan import Plan
 from smp_planner.policy.planner_policy import Execution, PlannerPolicy
@@ -132,7 +133,7 @@ class EpisodeRow:
         replans: how many plans were made anew.
         failed_replans: how many of these held no good particle.
         replanning_time: mean time of these, s.
-        planning_time: time of the whole plan, s.
+        planning_time: time of the whole plan, s; 0 where a method plans nothing.
         episode_time: time of the episode from reset to its end, planning included, s.
         stage_times: time of each stage of the plan by name, s; not in the CSV, nor is the next.
         scene: that was played, as JSON.
@@ -203,13 +204,13 @@ class PlayedEpisode:
     Attributes:
         row: what the store keeps.
         scene: decoded from the first observation.
-        plan: the particles.
+        plan: the particles; None of a method that plans nothing.
         object_path: (steps + 1, 3) m, positions of the object's centre.
     """
 
     row: EpisodeRow
     scene: Scene
-    plan: Plan
+    plan: Plan | None
     object_path: NDArray[np.float64]
 
 
@@ -241,13 +242,15 @@ def _of_plan(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _of_replanning(execution: Execution, policy: PlannerPolicy) -> dict[str, Any]:
-    """Return the columns that speak of plans made anew; none where the policy plans once."""
+def _of_planning(policy: PlannerPolicy, execution: Execution) -> dict[str, Any]:
+    """Return the columns that speak of the plan, and of those made anew."""
+    columns = _of_plan(execution.plan)
     pursuit, replanning = execution.pursuit, policy.replanning
     if pursuit is None or replanning is None:
-        return {}
+        return columns
     messages = (execution.plan.message, pursuit.message)
     return {
+        **columns,
         "message": "; ".join(message for message in messages if message),
         "replan_every": replanning.every,
         "latency": replanning.latency,
@@ -270,11 +273,11 @@ def _scene_of(key: EpisodeKey, folder: Path | None) -> Scene | None:
 def play_episode(
     key: EpisodeKey,
     env: gym.Env[Any, Any],
-    policy: PlannerPolicy,
+    policy: Policy,
     recorders: Sequence[Recorder] = (),
     lists: Path | None = None,
 ) -> PlayedEpisode:
-    """Play one episode to its end with the best particle of each plan.
+    """Play one episode to its end, of a planner with the best particle of each plan.
 
     Args:
         key: names the episode.
@@ -295,8 +298,9 @@ def play_episode(
         recorders=(hand, carried, *recorders),
     )
     elapsed = time.perf_counter() - began
-    execution: Execution = played.state[0]
-    plan = execution.plan
+    plan, of_planning = None, {}
+    if isinstance(policy, PlannerPolicy):
+        plan, of_planning = played.state[0].plan, _of_planning(policy, played.state[0])
     row = EpisodeRow(
         task=key.task,
         method=key.method,
@@ -316,7 +320,7 @@ def play_episode(
         noise=key.noise,
         episode_time=elapsed,
         scene=env.get_wrapper_attr("scene").to_json(),
-        **{**_of_plan(plan), **_of_replanning(execution, policy)},
+        **of_planning,
     )
     return PlayedEpisode(row, decode(played.first, key.task).scene, plan, carried.values)
 
@@ -324,10 +328,12 @@ def play_episode(
 @lru_cache(maxsize=16)
 def _ready(
     cell: Cell, spec: str, replan_every: int | None, latency: int
-) -> tuple[gym.Env[Any, Any], PlannerPolicy]:
-    """Return environment and policy of this process, after one unrecorded plan."""
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """Return environment and policy of this process, after one unrecorded action."""
     env = gym.make(environment_id(cell.task), **cell.make_arguments())
-    policy = PlannerPolicy.make(spec, cell.task, replan_every=replan_every, latency=latency)
+    policy = resolve_method(spec).policy(
+        cell.task, cell.sensing, replan_every=replan_every, latency=latency
+    )
     observation, _ = env.reset(seed=WARM_UP_SEED)
     policy.predict(observation, deterministic=True)
     return env, policy
@@ -338,7 +344,7 @@ class PlayMethods:
     """Plays episodes of methods; environment and policy are made once per process.
 
     Attributes:
-        specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
+        specs: of the methods by name; see `smp_planner.benchmark.methods.resolve_method`.
         lists: folder of the frozen lists; None for that of the package.
         replan_every: see `PlannerPolicy`, as the next; None plans once.
         latency: of plans, where they are made anew.
@@ -349,10 +355,10 @@ class PlayMethods:
     replan_every: int | None = None
     latency: int = LATENCY
 
-    def policy(self, key: EpisodeKey) -> PlannerPolicy:
+    def policy(self, key: EpisodeKey) -> Policy:
         """Return a new policy of the method of an episode."""
-        return PlannerPolicy.make(
-            self._spec(key), key.task, replan_every=self.replan_every, latency=self.latency
+        return resolve_method(self._spec(key)).policy(
+            key.task, key.cell.sensing, replan_every=self.replan_every, latency=self.latency
         )
 
     def _spec(self, key: EpisodeKey) -> str:

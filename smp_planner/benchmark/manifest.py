@@ -14,10 +14,9 @@ from typing import Any
 from smp_gym.datasets.frozen import load_episodes
 from smp_gym.suites import Cell
 from smp_planner.benchmark.episodes import EpisodeKey, EpisodeRow, PlayMethods
+from smp_planner.benchmark.methods import resolve_method
 from smp_planner.benchmark.results_folder import ResultsFolder, ResultsKind, read_folder
 from smp_planner.benchmark.row_table import RowTable, checked
-from smp_planner.planners.registry import resolve
-from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = [
@@ -49,12 +48,13 @@ class Manifest:
             seeds; `seed` is then 0.
         suite: whose cells these are; empty if they were named one by one.
         lists: folder of the frozen lists; empty for that of the package.
-        specs: of the methods by name; see `smp_planner.planners.registry.resolve`.
+        specs: of the methods by name; see `smp_planner.benchmark.methods.resolve_method`.
         replan_every: control steps after which plans are made anew at the latest; 0 where methods
             plan once.
         latency: control steps from asking for a plan to its taking effect; 0 where methods plan
             once.
-        method_codes: digests of the source files of the methods, wherever they live, by name.
+        method_codes: digests of the source files of the methods, wherever they live, or of an
+            agent's zip, by name.
     """
 
     cells: tuple[Cell, ...]
@@ -162,7 +162,7 @@ def make_manifest(
 
     Args:
         cells: what is played.
-        methods: by their specs; their modules are imported.
+        methods: by their specs; the modules of planners are imported, the zips of agents loaded.
         seed: of the first episode; 0 with `frozen`.
         episodes: of each cell and method.
         frozen: play the first episodes of the frozen lists.
@@ -175,17 +175,15 @@ def make_manifest(
         ValueError: a name that does not exist or is given twice, a cell without a list, or a number
             out of range; the message names the value and what exists.
     """
-    resolved = [resolve(spec) for spec in methods]
+    resolved = [resolve_method(spec) for spec in methods]
     names = {"cell": [c.name for c in cells], "method": [m.name for m in resolved]}
     for kind, given in names.items():
         if not given or len(set(given)) < len(given):
             raise ValueError(f"name each {kind} once and at least one, got {', '.join(given)!r}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
-    if replan_every is not None:
-        # Whether a method can is known by the planner alone.
-        for spec in methods:
-            PlannerPolicy.make(spec, cells[0].task, replan_every=replan_every, latency=latency)
+    for method in resolved:
+        method.check(cells, replan_every, latency)
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed}")
     if frozen:

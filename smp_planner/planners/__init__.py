@@ -28,9 +28,11 @@ from typing import Any, Protocol
 from smp_gym.arrays import shown
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.adaptation import ADAPTATIONS
+from smp_planner.planners.bump_planner import LEARNED, BumpPlanner
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planners.rrt_connect.planner import RRTConnectPlanner
 from smp_planner.planning.problem import Planner
+from smp_planner.planning.settings import PlanSettings, PriorSettings
 
 __all__ = ["PLANNERS", "ConfiguredPlanner", "learned_from", "make_planner", "task_settings"]
 
@@ -50,11 +52,18 @@ def _primitive(
     return PrimitivePlanner(demonstrations, adaptation, settings)
 
 
+def _learned(
+    name: str, demonstrations: Demonstrations, settings: Mapping[str, Any]
+) -> ConfiguredPlanner:
+    return BumpPlanner(demonstrations, name, settings)
+
+
 PLANNERS: Mapping[str, Callable[[Demonstrations, Mapping[str, Any]], ConfiguredPlanner]]
 PLANNERS = MappingProxyType(
     {
         **{name: partial(_primitive, name) for name in ADAPTATIONS},
         "rrt_connect": RRTConnectPlanner,
+        **{name: partial(_learned, name) for name in LEARNED},
     }
 )
 """Factories of planners by name, from demonstrations and settings."""
@@ -69,8 +78,12 @@ def _settings_file() -> dict[str, dict[str, dict[str, Any]]]:
 def task_settings(name: str, task: str) -> dict[str, Any]:
     """Return the settings that a planner has for a task in place of those of its models.
 
-    They are its own for every task, ``"*"`` in the file, and those of the task.
+    They are its own for every task, ``"*"`` in the file, and those of the task. Planners whose
+    proposals are learned have the primitive, the costs and the checks of `smp`.
     """
+    if name in LEARNED:
+        known = {*PriorSettings.model_fields, *PlanSettings.model_fields}
+        return {key: value for key, value in task_settings("smp", task).items() if key in known}
     own = _settings_file().get(name, {})
     return {**own.get("*", {}), **own.get(task, {})}
 

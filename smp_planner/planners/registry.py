@@ -25,7 +25,15 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.planners import PLANNERS, make_planner
 from smp_planner.planning.problem import Planner
 
-__all__ = ["GROUP", "Method", "installed_methods", "known_methods", "resolve"]
+__all__ = [
+    "GROUP",
+    "Method",
+    "check_name",
+    "installed_methods",
+    "known_methods",
+    "resolve",
+    "source_digest",
+]
 
 GROUP = "smp_planner.methods"
 """Group of entry points under which an installed package offers methods."""
@@ -109,24 +117,35 @@ def resolve(spec: str) -> Method:
     if not isinstance(spec, str):
         raise ValueError(f"method must be a name, got {shown(spec)}")
     name, own, place = spec.rpartition("=")
-    taken = (*known_methods(), *installed_methods())
-    if own and not _NAME.fullmatch(name):
-        raise ValueError(
-            "the name of a method must be of letters, digits, '_', '-' and '.', "
-            f"got {name!r} in {spec!r}"
-        )
-    if own and name in taken:
-        raise ValueError(f"the name {name!r} of a method is taken: give {place!r} another")
     if own:
+        check_name(name, spec, place)
         return _from_outside(name, spec, place)
     if spec in PLANNERS:
-        return Method(spec, spec, partial(_make, spec), _digest(__name__))
+        return Method(spec, spec, partial(_make, spec), source_digest(__name__))
     for entry in metadata.entry_points(group=GROUP):
         if entry.name == spec:
             return _from_outside(spec, spec, entry.value)
     raise ValueError(
-        f"unknown method {shown(spec)}; there are: {', '.join(taken)}, or name=module:Class"
+        f"unknown method {shown(spec)}; there are: "
+        f"{', '.join((*known_methods(), *installed_methods()))}, or name=module:Class"
     )
+
+
+def check_name(name: str, spec: str, place: str) -> None:
+    """Raise ValueError unless a method of one's own may have a name.
+
+    Args:
+        name: of the method.
+        spec: that gives it, for errors.
+        place: where the method is, for errors.
+    """
+    if not _NAME.fullmatch(name):
+        raise ValueError(
+            "the name of a method must be of letters, digits, '_', '-' and '.', "
+            f"got {name!r} in {spec!r}"
+        )
+    if name in (*known_methods(), *installed_methods()):
+        raise ValueError(f"the name {name!r} of a method is taken: give {place!r} another")
 
 
 def _make(name: str, demonstrations: Demonstrations, **settings: Any) -> Planner:
@@ -146,10 +165,12 @@ def _from_outside(name: str, spec: str, place: str) -> Method:
         raise ValueError(f"method {name!r}: the module {module!r} has no {attribute!r}")
     if not callable(factory) or (inspect.isclass(factory) and not hasattr(factory, "plan")):
         raise ValueError(f"method {name!r}: {place!r} must be a planner, which has plan(problems)")
-    return Method(name, spec, factory, _digest(module, getattr(factory, "__module__", module)))
+    return Method(
+        name, spec, factory, source_digest(module, getattr(factory, "__module__", module))
+    )
 
 
-def _digest(*modules: str) -> str:
+def source_digest(*modules: str) -> str:
     """Return a digest of source files: of a module, or of the whole package that it is part of."""
     files: set[Path] = set()
     for name in modules:

@@ -12,8 +12,8 @@ from smp_gym.arrays import FloatArray
 from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.sampling.blind_detours import BLIND_DETOURS, FUNCTIONS, load_blind_detours
+from smp_planner.agents.posed_scenes import posed
 from smp_planner.experiments.controls.detour import Detour, SearchSettings, learn_detour
-from smp_planner.experiments.controls.posed_scenes import posed
 
 __all__ = ["BLOCKED_TASKS", "add_blind_detour", "store_blind_detour"]
 

@@ -13,6 +13,7 @@ import numpy as np
 from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
+from smp_planner.agents.posed_scenes import posed
 from smp_planner.benchmark.results_folder import ResultsError, write_json
 from smp_planner.benchmark.row_table import checked
 from smp_planner.benchmark.statistics import rate_interval
@@ -24,7 +25,6 @@ from smp_planner.experiments.controls.measuring import (
     search_iterations,
     unadapted_outcomes,
 )
-from smp_planner.experiments.controls.posed_scenes import posed
 
 __all__ = ["CONTROLS", "ControlCell", "Request", "markdown", "measure", "write_table"]
 

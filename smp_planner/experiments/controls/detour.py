@@ -4,12 +4,8 @@ A policy that is blind to obstacles: the primitive is conditioned as `smp` condi
 mean one and the same detour is added in every scene, three smooth functions of the phase for each
 joint, 18 numbers. It is learned on other scenes by a search over these numbers (cross-entropy
 method with full covariance, rank-weighted as in Hansen 2016, arXiv:1604.00772, several restarts)
-whose objective is how many scenes the detour leaves free.
-
-Where the trajectory is held on its course (via-points, the poses of a push), what the detour would
-change there is conditioned away: of a Gaussian prior, adding a detour before conditioning adds
-(I - K H) of it afterwards. So no number is lost on what the constraints forbid, and where they only
-hold the ends, where the detour vanishes with its slope, it is added as it is.
+whose objective is how many scenes the detour leaves free. How a detour changes the conditioned
+mean, `smp_planner.planning.bumps` says.
 """
 
 from __future__ import annotations
@@ -18,25 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from smp_gym.arrays import BoolArray, FloatArray
-from smp_gym.geometry.distance import PackedObstacles
-from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.sampling.blind_detours import FUNCTIONS, detour_functions
-from smp_planner.collision.verification import minimum_duration, within_joint_limits
-from smp_planner.experiments.controls.posed_scenes import primitive_of
-from smp_planner.experiments.controls.sampled_clearance import sampled_clearance
-from smp_planner.movement_primitives import ProMP
+from smp_planner.agents.posed_scenes import primitive_of
 from smp_planner.planning.assessment import assess
-from smp_planner.planning.bodies import RobotBody
-from smp_planner.planning.constraints import ToolPath
-from smp_planner.planning.pipeline import condition
+from smp_planner.planning.bumps import BumpedMean, SoftenedCheck, mean_with_functions, scale_of
 from smp_planner.planning.problem import Problem
-from smp_planner.torch_threads import one_thread
 
 __all__ = [
-    "Course",
     "Detour",
     "SearchSettings",
     "conditioned_course",
@@ -50,9 +36,8 @@ _STRIDE = 5
 
 _FLOOR = -0.03
 _SOFTNESS = (0.015, 0.003)
-_BETWEEN = 0.003
-"""Metres: least clearance told apart, softness of the objective in the first and last generation,
-and clearance demanded at the samples for what lies between them."""
+"""Metres: least clearance told apart, softness of the objective in the first and last generation.
+"""
 
 
 @dataclass(frozen=True)
@@ -79,27 +64,6 @@ class SearchSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """The conditioned mean in a scene, and how a detour changes it there.
-
-    Attributes:
-        problem: that the scene poses.
-        mean: (T, 6) rad.
-        directions: (F, T, 6) rad, by which the mean changes for each number of a detour.
-    """
-
-    problem: Problem
-    mean: FloatArray
-    directions: FloatArray
-
-    def trajectories(self, numbers: FloatArray, stride: int = 1) -> FloatArray:
-        """Return the trajectories (C, T, 6) rad of detours (C, F)."""
-        directions = self.directions[:, ::stride]
-        changed = numbers @ directions.reshape(len(directions), -1)
-        return self.mean[::stride] + changed.reshape(len(numbers), *directions.shape[1:])
-
-
-@dataclass(frozen=True, eq=False)
 class Detour:
     """A learned detour.
 
@@ -117,21 +81,7 @@ class Detour:
     validated: float
 
 
-def _directions(prior: ProMP, posterior: ProMP) -> FloatArray:
-    """Return (F, T, 6) rad: what (I - K H) leaves of each function in each joint."""
-    functions = torch.from_numpy(detour_functions(_SAMPLES))
-    values = prior.basis.values(torch.linspace(0.0, 1.0, _SAMPLES, dtype=torch.float64))
-    weights = torch.linalg.lstsq(values, functions.mT).solution.mT
-    joints = torch.eye(prior.dimension, dtype=torch.float64)
-    # Function by joint by weight (basis first, joint last).
-    added = torch.einsum("fk,jd->fjkd", weights, joints).flatten(0, 1).flatten(1)
-    latent = prior.whiten(prior.mean + added)
-    kept = posterior.whiten_gradient(latent @ (prior.factor / prior.factor.square().sum(0)).mT)
-    changed = kept @ posterior.factor.mT
-    return prior.trajectory(changed, _SAMPLES).numpy()
-
-
-def conditioned_course(task: str, problem: Problem, component: int = 0) -> Course | None:
+def conditioned_course(task: str, problem: Problem, component: int = 0) -> BumpedMean | None:
     """Return the conditioned mean of a problem, or None if it is out of a component's reach.
 
     Args:
@@ -141,64 +91,26 @@ def conditioned_course(task: str, problem: Problem, component: int = 0) -> Cours
     """
     planner = primitive_of(task)
     prior = planner.prior.components()[component]
-    with one_thread():
-        try:
-            branches = condition(prior, problem.constraints, planner.plan_settings)
-        except UnreachableError:
-            return None
-        posterior = max(branches, key=lambda branch: branch[1])[0]
-        mean = posterior.trajectory(posterior.mean, _SAMPLES).numpy()
-        return Course(problem, mean, _directions(prior, posterior))
-
-
-def _scale(courses: Sequence[Course]) -> FloatArray:
-    """Return (F,) numbers that move a joint by about 1 rad: more where much is conditioned away."""
-    if not courses:
-        return np.ones(FUNCTIONS * 6)
-    moved = [np.abs(course.directions).max(axis=(1, 2)) for course in courses]
-    return 1.0 / np.maximum(np.median(moved, axis=0), 1e-2)
+    return mean_with_functions(prior, problem, planner.plan_settings, detour_functions(_SAMPLES))
 
 
 class _Scorer:
     """The softened count of free scenes, of a course's detours."""
 
-    def __init__(self, course: Course) -> None:
+    def __init__(self, course: BumpedMean) -> None:
         self.course = course
-        stages = course.problem.stages
-        self._parts = [
-            (
-                stage.body.model,
-                PackedObstacles.of(stage.obstacles),
-                stage.steps(len(course.mean[::_STRIDE])),
-            )
-            for stage in stages
-            if isinstance(stage.body, RobotBody)
-        ]
-        self._via = [c for c in course.problem.constraints if isinstance(c, ToolPath)]
+        self._check = SoftenedCheck(course.problem, len(course.mean[::_STRIDE]), _FLOOR)
 
     def __call__(self, numbers: FloatArray, softness: float) -> FloatArray:
         """Return (C,) in [0, 1] for detours (C, F)."""
-        trajectories = self.course.trajectories(numbers, _STRIDE)
-        robot = self.course.problem.robot
-        valid = within_joint_limits(trajectories, robot)
-        valid &= minimum_duration(trajectories, robot.velocity) <= 15.0
-        for constraint in self._via:
-            valid &= constraint.missed(trajectories) <= 0.0
-        clearance = np.full(len(numbers), -_FLOOR)
-        for model, obstacles, steps in self._parts:
-            open_ = np.flatnonzero(valid & (clearance > _FLOOR))
-            part = trajectories[open_, steps]
-            found = sampled_clearance(part, model, obstacles, _FLOOR, -_FLOOR)
-            clearance[open_] = np.minimum(clearance[open_], found)
-        score = 1.0 / (1.0 + np.exp(-(clearance - _BETWEEN) / softness))
-        return np.where(valid & (clearance > _FLOOR), score, 0.0)
+        return self._check.score(self.course.trajectories(numbers, _STRIDE), softness)
 
 
 def _score(scorers: Sequence[_Scorer], numbers: FloatArray, softness: float) -> FloatArray:
     return np.mean([scorer(numbers, softness) for scorer in scorers], axis=0)
 
 
-def detours_free(courses: Sequence[Course | None], numbers: FloatArray, task: str) -> BoolArray:
+def detours_free(courses: Sequence[BumpedMean | None], numbers: FloatArray, task: str) -> BoolArray:
     """Return (C, N) whether detours (C, F) solve each of N scenes, by the exact check.
 
     Args:
@@ -282,7 +194,8 @@ def _of_component(
     courses = [conditioned_course(task, problem, component) for problem in problems]
     last = max(1, round(settings.validation * len(courses)))
     scorers = [_Scorer(course) for course in courses[:-last] if course is not None]
-    scale = _scale([course for course in courses if course is not None])
+    known = [course for course in courses if course is not None]
+    scale = scale_of(known) if known else np.ones(FUNCTIONS * 6)
     # Of all widths: where there is little room, nothing wide leaves a scene free.
     width = settings.deviation * np.geomspace(0.1, 1.0, settings.screened)[:, None]
     numbers = width * scale * rng.standard_normal((settings.screened, len(scale)))

@@ -5,23 +5,23 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.rollout import rollout
 from smp_gym.scene import Scene
+from smp_planner.agents.acting import RandomActions
+from smp_planner.agents.posed_scenes import environment, posed, posing_policy
 from smp_planner.experiments.controls.detour import (
-    Course,
     Detour,
     conditioned_course,
     detours_free,
 )
-from smp_planner.experiments.controls.posed_scenes import environment, posed, posing_policy
 from smp_planner.experiments.controls.unadapted import plan_unadapted
 from smp_planner.planners import ConfiguredPlanner, make_planner
 from smp_planner.planning.assessment import make_plan
+from smp_planner.planning.bumps import BumpedMean
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.settings import PlanSettings
 
@@ -79,7 +79,7 @@ def detour_outcomes(
     return outcomes
 
 
-def _plan_of(course: Course, detour: Detour) -> Plan:
+def _plan_of(course: BumpedMean, detour: Detour) -> Plan:
     trajectories = course.trajectories(detour.numbers[None])
     return make_plan(course.problem, trajectories, {"prior": np.zeros(1)}, PlanSettings())
 
@@ -131,31 +131,13 @@ def search_iterations(
     return outcomes
 
 
-class _Random:
-    """Draws every action uniformly from the action space."""
-
-    def __init__(self, seed: int) -> None:
-        self._rng = np.random.default_rng(seed)
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, None]:
-        """Return an action (7,)."""
-        return self._rng.uniform(-1.0, 1.0, 7).astype(np.float32), None
-
-
-def random_outcomes(scenes: Sequence[Scene], seed: int = 0) -> list[Outcome]:
+def random_outcomes(scenes: Sequence[Scene]) -> list[Outcome]:
     """Return whether uniform random actions solve each scene, in the physics.
 
     Args:
         scenes: of any tasks.
-        seed: of the actions of the first scene; each further one has the next.
     """
     return [
-        Outcome(executed=rollout(environment(scene.task), _Random(seed + k), scene=scene).success)
-        for k, scene in enumerate(scenes)
+        Outcome(executed=rollout(environment(scene.task), RandomActions(), scene=scene).success)
+        for scene in scenes
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from smp_gym.robot.kinematics import UnreachableError
-from smp_planner.experiments.controls.posed_scenes import overdraw_of, primitive_of
+from smp_planner.agents.posed_scenes import overdraw_of, primitive_of
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.pipeline import conditioned_parts
 from smp_planner.planning.plan import Plan

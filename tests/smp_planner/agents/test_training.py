@@ -22,6 +22,7 @@ from smp_gym.assets import asset_path
 from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
 from smp_gym.folder_lock import FolderLock
 from smp_gym.observation import MAX_EPISODE_STEPS
+from smp_gym.scene import TASKS
 from smp_planner.agents.evaluations import evaluate, read_evaluations
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.training import load_checkpoint, make_model, save_checkpoint
@@ -220,7 +221,7 @@ def test_evaluation_counts() -> None:
 
 def test_the_shipped_hyper_parameters_are_accepted() -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
-    files = sorted(asset_path("agents").glob("*.json"))
+    files = [path for task in TASKS for path in asset_path("agents").glob(f"{task}*.json")]
     assert files
     for path in files:
         settings = HyperParameters.from_json(path)

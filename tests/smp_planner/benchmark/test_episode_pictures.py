@@ -1,5 +1,6 @@
 """The pictures: projection, hidden lines, bodies, and the files that are written."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -116,6 +117,15 @@ def _played() -> PlayedEpisode:
         steps=100,
     )
     return PlayedEpisode(row, scene, plan, np.zeros((101, 3)))
+
+
+def test_scene_figure_of_an_agent_shows_what_it_did(tmp_path: Path) -> None:
+    path = tmp_path / "scene.png"
+    executed = np.linspace((0.3, -0.3, 0.3), (0.5, 0.3, 0.3), 50)
+    scene_figure(replace(_played(), plan=None, object_path=executed), path)
+    picture = imageio.imread(path)[..., :3].astype(int)
+    left = picture[:, : int(0.65 * picture.shape[1])]
+    assert (np.abs(left - (0xF5, 0x9E, 0x0B)).max(axis=-1) < 12).sum() > 50
 
 
 def test_scene_figure_shows_every_kind_of_line(tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ import pytest
 from smp_gym.robot.kinematics import end_effector_pose
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
+from smp_planner.agents.posed_scenes import posed, primitive_of
 from smp_planner.benchmark.results_folder import ResultsError
+from smp_planner.collision.sampled_clearance import sampled_clearance
 from smp_planner.collision.verification import check_collisions
 from smp_planner.experiments.controls.control_table import (
     ControlCell,
@@ -31,8 +33,6 @@ from smp_planner.experiments.controls.measuring import (
     search_iterations,
     unadapted_outcomes,
 )
-from smp_planner.experiments.controls.posed_scenes import posed, primitive_of
-from smp_planner.experiments.controls.sampled_clearance import sampled_clearance
 from smp_planner.planning.assessment import assess
 
 QUICK = SearchSettings(generations=6, restarts=1, population=24, scenes=6, screened=48)

@@ -14,10 +14,10 @@ from scipy import stats
 from smp_gym.registration import environment_id
 from smp_gym.rollout import play
 from smp_gym.scene import TASKS
+from smp_planner.agents.posed_scenes import posed
 from smp_planner.benchmark import runner
 from smp_planner.benchmark.metrics import Metrics
 from smp_planner.benchmark.results_folder import RESULTS, ResultsError
-from smp_planner.experiments.controls.posed_scenes import posed
 from smp_planner.experiments.table_two import repetitions, running
 from smp_planner.experiments.table_two.figure import draw_table
 from smp_planner.experiments.table_two.repetitions import (

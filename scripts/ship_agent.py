@@ -1,0 +1,36 @@
+"""Ship a trained agent: write it where its method looks for it, and put its scores on its card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from smp_planner.agents.shipping import ship_agent
+from smp_planner.benchmark.options import run_command
+
+
+def main(
+    card: Annotated[Path, typer.Argument(help="Card of a trained or a shipped agent.")],
+    results: Annotated[
+        Path | None, typer.Option(help="Folder of smp-bench run with its episodes.")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option(help="To write into. Default: envs_assets/agents/.")
+    ] = None,
+) -> None:
+    """Write CARD and its weights into the package, with the success that RESULTS hold.
+
+    Example: python scripts/ship_agent.py results/agents/mp_rl-Placement-medium-0/agent.json
+    """
+    try:
+        written = ship_agent(card, results, folder)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    Console().print(f"wrote {written}", soft_wrap=True)
+
+
+if __name__ == "__main__":
+    run_command(main)

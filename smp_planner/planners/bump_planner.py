@@ -1,0 +1,198 @@
+"""`mp_rl` and `detour`: planners whose proposals a learned policy makes, in one look at the scene.
+
+They start from the primitive of `smp`, have as many tries as it has particles, and choose the best
+by the same exact check: the first proposal is the policy's mean action, the others are drawn from
+it (`smp_planner.planners.bump_policy`). Nothing is adapted to the scene. The network sees rows of
+obstacles; where a depth camera's points are observed in their place, it sees none, and proposals
+are only checked against them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, create_model
+
+from smp_gym.arrays import FloatArray, IntArray
+from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.robot.kinematics import UnreachableError
+from smp_planner.planners.agent_file import read_agent, shipped_agent
+from smp_planner.planners.bump_policy import look, stacked
+from smp_planner.planning.assessment import make_plan
+from smp_planner.planning.bumps import BumpedMean, bump_phases, bumped_mean
+from smp_planner.planning.pipeline import Stopwatch
+from smp_planner.planning.plan import Plan
+from smp_planner.planning.prior import Prior, learn_prior
+from smp_planner.planning.problem import Problem
+from smp_planner.planning.settings import PlanSettings, PriorSettings
+from smp_planner.torch_threads import one_thread
+
+__all__ = ["LEARNED", "BumpPlanner", "ProposalSettings"]
+
+LEARNED = ("mp_rl", "detour")
+"""Names of the planners whose proposals are learned; those of `smp` are their other settings."""
+
+
+class ProposalSettings(BaseModel):
+    """Settings of the proposals.
+
+    Attributes:
+        agent: path of an agent's card (`smp_planner.planners.agent_file`); empty for the one that
+            is shipped for the task.
+        action: "best" proposes as many trajectories as `PlanSettings.particles` says; "mean" the
+            policy's mean action alone.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    agent: str = ""
+    action: Literal["best", "mean"] = "best"
+
+
+class BumpPlanner:
+    """A learned policy over bumps on the conditioned mean.
+
+    Args:
+        demonstrations: from which the primitive is learned; their task says which agent is shipped.
+        name: one of `LEARNED`.
+        settings: by name, of `PriorSettings`, `PlanSettings` and `ProposalSettings`; the rest keep
+            their defaults.
+
+    Attributes:
+        prior: what was learned from demonstrations.
+        card: of the agent.
+
+    Raises:
+        ValueError: an unknown setting, or one out of range; there is no agent for the task; or it
+            is of another task or primitive.
+    """
+
+    def __init__(
+        self, demonstrations: Demonstrations, name: str, settings: Mapping[str, Any]
+    ) -> None:
+        models = (PriorSettings, PlanSettings, ProposalSettings)
+        everything: Any = create_model(
+            f"settings of {name}",
+            __config__=ConfigDict(extra="forbid", frozen=True),
+            **{  # type: ignore[call-overload]
+                field_name: (field.annotation, field)
+                for model in models
+                for field_name, field in model.model_fields.items()
+            },
+        )
+        everything.model_validate(dict(settings))
+        prior, plans, proposals = (
+            model.model_validate({k: v for k, v in settings.items() if k in model.model_fields})
+            for model in models
+        )
+        assert isinstance(prior, PriorSettings)
+        assert isinstance(plans, PlanSettings)
+        assert isinstance(proposals, ProposalSettings)
+        self._plan_settings, self._proposals = plans, proposals
+        path = Path(proposals.agent or shipped_agent(name, demonstrations.task))
+        try:
+            self._policy, self.card = read_agent(path)
+        except FileNotFoundError:
+            raise ValueError(
+                f"{name} needs an agent for {demonstrations.task}, and there is no {path}: train "
+                "one with scripts/train_mp_rl.py and give its card as the setting 'agent'"
+            ) from None
+        self.prior: Prior = learn_prior(list(np.array(demonstrations.configurations)), prior)
+        expected = (name, demonstrations.task, self.prior.single.dimension * self.card.bumps)
+        found = (self.card.agent, self.card.task, self._policy.shape.actions)
+        if found != expected or self._policy.shape.components != len(self.prior.used.components):
+            raise ValueError(
+                f"{path} must be an agent {name} of {demonstrations.task} for a primitive of "
+                f"{len(self.prior.used.components)} components, got {self.card.agent} of "
+                f"{self.card.task} for {self._policy.shape.components}"
+            )
+        self._phases = bump_phases(self.card.bumps)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings by name, as plain data."""
+        return {
+            **self.prior.settings.model_dump(mode="json"),
+            **self._plan_settings.model_dump(mode="json"),
+            **self._proposals.model_dump(mode="json"),
+        }
+
+    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
+        """Return one plan for each problem; the same problem gives the same plan.
+
+        Raises:
+            UnreachableError: a goal is out of reach.
+            ValueError: a problem is of another dimension than the demonstrations.
+        """
+        dimension = self.prior.single.dimension
+        for index, problem in enumerate(problems):
+            if problem.body.dimension != dimension:
+                raise ValueError(
+                    f"problems must have the {dimension} joints that demonstrations have, got "
+                    f"{problem.body.dimension} in problems[{index}]"
+                )
+        return [self._plan(problem) for problem in problems]
+
+    def _plan(self, problem: Problem) -> Plan:
+        stopwatch, settings = Stopwatch(), self._plan_settings
+        with one_thread():
+            with stopwatch.stage("conditioning"):
+                reached = self._reached(problem)
+            with stopwatch.stage("inference"):
+                side, numbers = self._propose(problem, reached)
+                count = len(numbers)
+                trajectories = np.empty((count, settings.samples, self.prior.single.dimension))
+                weights = np.empty((count, self.prior.single.mean.shape[-1]))
+                surprise = np.empty(count)
+                for component in np.unique(side):
+                    chosen, mean = side == component, reached[component]
+                    trajectories[chosen] = mean.trajectories(numbers[chosen])
+                    weights[chosen] = mean.weights(numbers[chosen]).numpy()
+                    surprise[chosen] = mean.surprise(numbers[chosen])
+            with stopwatch.stage("verification"):
+                plan = make_plan(
+                    problem,
+                    trajectories,
+                    {"prior": surprise},
+                    settings,
+                    weights=weights.reshape(count, -1, self.prior.single.dimension),
+                    components=side if len(self.prior.used.components) > 1 else None,
+                    reason="no proposal is good",
+                )
+        return plan.changed(timings=stopwatch.timings)
+
+    def _reached(self, problem: Problem) -> dict[int, BumpedMean]:
+        """Return the conditioned means of the components that reach a goal, by their index."""
+        found = {}
+        for index, component in enumerate(self.prior.components()):
+            mean = bumped_mean(
+                component, problem, self._plan_settings, self._phases, self._plan_settings.samples
+            )
+            if mean is not None:
+                found[index] = mean
+        if not found:
+            raise UnreachableError("no component of the primitive reaches a goal")
+        return found
+
+    def _propose(
+        self, problem: Problem, reached: Mapping[int, BumpedMean]
+    ) -> tuple[IntArray, FloatArray]:
+        """Return components (P,) and numbers (P, F) of proposals, the mean action first."""
+        generator = torch.Generator().manual_seed(problem.seed % 2**63)
+        seen = look(list(reached.values()), problem.movable)
+        with torch.no_grad():
+            found = self._policy(stacked([seen]), list(reached))
+            likeliest = found.choice.argmax(dim=1, keepdim=True)
+            action = torch.take_along_dim(found.mean, likeliest[..., None], 1)
+            side = likeliest
+            if self._proposals.action == "best" and self._plan_settings.particles > 1:
+                others = found.sample(self._plan_settings.particles - 1, generator)
+                side, action = (
+                    torch.cat(pair, 1) for pair in zip((side, action), others, strict=True)
+                )
+            numbers = (action * self._policy.scale)[0].numpy().astype(np.float64)
+        return np.array(list(reached))[side[0].numpy()], numbers
