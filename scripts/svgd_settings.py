@@ -18,7 +18,9 @@ from smp_planner.benchmark.options import (
     pooled,
     tuning_seeds,
 )
+from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.experiments import arm_posterior, arm_settings
+from smp_planner.experiments.kept_results import kept_results
 from smp_planner.experiments.svgd_settings import VARIANTS, Ground, settings_columns, settings_rows
 from smp_planner.experiments.tables import report
 from smp_planner.inference import SETTINGS
@@ -124,7 +126,8 @@ def posterior(
     """Hold particle sets of all methods against the posterior, on unselected scenes.
 
     The posterior is drawn from by sequential Monte Carlo, twice for each scene: the second run
-    gives the noise floor. A scene takes about half a minute of one core.
+    gives the noise floor. A scene takes about half a minute of one core, and is kept in
+    OUT/posterior_scenes.json as it ends: the same command continues, also with more scenes.
 
     Example: python scripts/svgd_settings.py posterior --tasks DrawS --methods "smp;cpromp"
     """
@@ -132,14 +135,23 @@ def posterior(
     names = [name.strip() for name in methods.split(";") if name.strip()]
     for name in names:
         one_of(name, tuple(arm_posterior.METHODS), "--methods")
+    names = names or list(arm_posterior.METHODS)
     cells = arm_posterior.cells_of(
-        chosen_names(tasks, TASKS, "--tasks"),
-        difficulty,
-        tuning_seeds(seed, scenes),
-        names or tuple(arm_posterior.METHODS),
+        chosen_names(tasks, TASKS, "--tasks"), difficulty, tuning_seeds(seed, scenes), names
     )
-    found = pooled(arm_posterior.measure_cell, cells, "scenes", Console(), jobs=jobs)
-    rows = [row for of_scene in found for row in of_scene]
+    try:
+        found = kept_results(
+            out / "posterior_scenes.json",
+            {"difficulty": difficulty, "methods": names},
+            arm_posterior.measure_cell,
+            {f"{cell.task} {cell.seed}": cell for cell in cells},
+            "scenes",
+            Console(),
+            jobs,
+        )
+    except ResultsError as error:
+        raise typer.BadParameter(str(error), param_hint="--out") from error
+    rows = [row for of_scene in found.values() for row in of_scene]
     note = (
         f"Mean ± standard deviation over {scenes} unselected scenes of difficulty {difficulty}, "
         f"seeds from {seed} on; one plan each."
