@@ -18,7 +18,7 @@ import torch
 
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import Runs
-from smp_planner.benchmark.metrics import resample, rms_distances
+from smp_planner.benchmark.metrics import energy_distance, resample
 from smp_planner.experiments.arm_settings import environment
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.inference.smc import SMCSettings, sample_posterior
@@ -38,7 +38,6 @@ __all__ = [
     "METHODS",
     "PosteriorCell",
     "cells_of",
-    "energy_distance",
     "measure_cell",
     "posterior_draws",
 ]
@@ -101,23 +100,6 @@ def cells_of(
         PosteriorCell(task, difficulty, seed, tuple(methods))
         for task, seed in product(tasks, seeds)
     ]
-
-
-def energy_distance(a: FloatArray, b: FloatArray) -> float:
-    """Return the energy distance 2 E|X-Y| - E|X-X'| - E|Y-Y'| of two sets, without bias.
-
-    Source: Székely & Rizzo 2013. The means within a set leave out the distance of a draw to itself,
-    so that two sets of draws from one distribution score 0 in the mean, and may score less.
-
-    Args:
-        a: (N, T, d), N at least 2; of unit u.
-        b: (M, T, d), M at least 2.
-
-    Returns:
-        It, in u; distances are root mean squares over T.
-    """
-    within = [float(rms_distances(one, one).sum()) / (len(one) * (len(one) - 1)) for one in (a, b)]
-    return 2.0 * float(rms_distances(a, b).mean()) - sum(within)
 
 
 def posterior_draws(

@@ -5,11 +5,11 @@ import pytest
 from scipy.stats import energy_distance as one_dimensional
 
 from smp_gym.sampling import sample_scene
+from smp_planner.benchmark.metrics import energy_distance
 from smp_planner.experiments.arm_posterior import (
     COLUMNS,
     FLOOR,
     PosteriorCell,
-    energy_distance,
     measure_cell,
     posterior_draws,
 )
