@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import energy_distance as one_dimensional
 
 from smp_gym.sampling import sample_scene
-from smp_planner.benchmark.metrics import energy_distance
+from smp_planner.benchmark.metrics import energy_distance, rms_distances
 from smp_planner.experiments.arm_posterior import (
     COLUMNS,
     FLOOR,
@@ -48,11 +48,16 @@ def test_where_nothing_is_in_the_way_the_posterior_is_the_conditioned_prior(plac
     assert len(draws) > 120
     assert len(plain) > 100
     both = np.concatenate([draws, plain])[:, ::10]
-    found, count = energy_distance(draws[:, ::10], plain[:, ::10]), len(draws)
-    shuffled = []
-    for _ in range(99):
-        mixed = rng.permutation(both)
-        shuffled.append(energy_distance(mixed[:count], mixed[count:]))
+    between, count = rms_distances(both, both), len(draws)
+
+    def energy(order):
+        parts = order[:count], order[count:]
+        within = [between[np.ix_(x, x)].sum() / (len(x) * (len(x) - 1)) for x in parts]
+        return 2.0 * between[np.ix_(*parts)].mean() - sum(within)
+
+    found = energy(np.arange(len(both)))
+    assert found == pytest.approx(energy_distance(draws[:, ::10], plain[:, ::10]))
+    shuffled = [energy(rng.permutation(len(both))) for _ in range(99)]
     assert found < np.quantile(shuffled, 0.99)
 
 
