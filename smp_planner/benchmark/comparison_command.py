@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -73,17 +74,26 @@ def _show(results: JoinedResults, comparisons: Sequence[Comparison], console: Co
 
 
 def _table(title: str, caption: str) -> Table:
-    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
-    table.add_column("")
-    table.add_column("n", justify="right")
+    # As narrow as can be, and nothing is cut off where that is not narrow enough.
+    table = Table(
+        title=title,
+        caption=caption,
+        title_justify="left",
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("", overflow="fold")
+    table.add_column("n", justify="right", overflow="fold")
     return table
 
 
 def _success(comparisons: Sequence[Comparison], first: str, second: str) -> Table:
     table = _table(
         f"success of {first} and {second} on equal episodes",
-        "95 % intervals: Wilson, and Newcombe's for pairs. Verdict on the first: exact test of\n"
-        "McNemar at 5 %, corrected by Holm's method for the lines between two rules.",
+        "95 % intervals: Wilson, and Newcombe's for pairs. Verdict on the first: exact\n"
+        "test of McNemar at 5 %, corrected by Holm's method for the lines of a section.",
     )
     for title in (
         f"{first}, %",
@@ -92,15 +102,15 @@ def _success(comparisons: Sequence[Comparison], first: str, second: str) -> Tabl
         "difference, points",
         "verdict",
     ):
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", overflow="fold")
     for each, last in _with_ends(comparisons):
         table.add_row(
-            each.name,
+            each.name.replace("_", " "),
             str(each.counts.count),
             _percent(each.first_rate),
             _percent(each.second_rate),
             f"{each.counts.first_only} : {each.counts.second_only}",
-            _percent(each.difference, "+.1f"),
+            _percent(each.difference, "+.0f"),
             {"better": "[green]better[/]", "worse": "[red]worse[/]"}.get(
                 each.verdict, each.verdict
             ),
@@ -112,13 +122,13 @@ def _success(comparisons: Sequence[Comparison], first: str, second: str) -> Tabl
 def _times(comparisons: Sequence[Comparison], first: str, second: str) -> Table:
     table = _table(
         "solve time and motion time, s",
-        "Solve: median / 75th / 98th percentile over all n. Motion: means over the episodes that\n"
-        "both solve, and the difference with its bootstrap interval.",
+        "Solve: median / 75th / 98th percentile over all n. Motion: means over the\n"
+        "episodes that both solve, and the difference with its bootstrap interval.",
     )
     for title in (f"{first}: solve", f"{second}: solve", "both solve"):
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", overflow="fold")
     for title in (f"{first}: motion", f"{second}: motion", "difference"):
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", overflow="fold")
     for each, last in _with_ends(comparisons):
         if (times := each.times) is None:
             continue
@@ -130,7 +140,7 @@ def _times(comparisons: Sequence[Comparison], first: str, second: str) -> Table:
                 _interval(times.motion.difference, 1.0, "+.2f"),
             ]
         table.add_row(
-            each.name,
+            each.name.replace("_", " "),
             str(each.counts.count),
             _solve(times.first_solve),
             _solve(times.second_solve),
@@ -154,7 +164,7 @@ def _solve(times: SolveTimes) -> str:
     return " / ".join(f"{seconds:.2f}" for seconds in (times.median, times.p75, times.p98))
 
 
-def _percent(estimate: Estimate, form: str = ".1f") -> str:
+def _percent(estimate: Estimate, form: str = ".0f") -> str:
     return _interval(estimate, 100.0, form)
 
 

@@ -197,7 +197,7 @@ def test_compare_prints_both_tables_and_json(hard: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("COLUMNS", "160")
     result = CliRunner().invoke(app, ["compare", str(hard), "smp", "rrt_connect"])
     assert result.exit_code == 0
-    for text in ("97.9 (89.1–99.6)", "83.3 (70.4–91.3)", "7 : 0", "better", "both solve"):
+    for text in ("98 (89–100)", "83 (70–91)", "7 : 0", "better", "both solve"):
         assert text in result.output
     as_json = CliRunner().invoke(app, ["compare", "--json", str(hard), "smp", "rrt_connect"])
     last = json.loads(as_json.output)["comparisons"][-1]
