@@ -9,7 +9,7 @@ from smp_planner.planners import make_planner
 @pytest.fixture(scope="session")
 def planner():
     """A planner on the exact map, small enough for tests."""
-    settings = {"map": "exact", "particles": 4, "iterations": 12, "retries": 0}
+    settings = {"map": "exact", "particles": 4, "iterations": 8, "retries": 0}
     settings |= {"samples": 60, "planning_steps": 30, "inference": "quick", "widths": (1.0,)}
     return make_planner("smp", "Placement", settings=settings)
 

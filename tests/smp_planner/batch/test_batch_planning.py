@@ -57,11 +57,11 @@ def test_the_check_looks_between_the_samples(planner, problems):
     np.testing.assert_allclose(found.clearance[0], exact.clearance, atol=1.1e-3)
 
 
-@pytest.mark.parametrize("index", [0, 1])
-def test_a_batch_is_planned_as_its_problems_one_by_one(planner, problems, plans, index):
-    (alone,) = planner.plan([problems[index]], "cpu")
-    np.testing.assert_allclose(alone.trajectories, plans[index].trajectories, atol=2e-3)
-    np.testing.assert_array_equal(alone.good, plans[index].good)
+def test_a_batch_is_planned_as_its_problems_one_by_one(planner, problems, plans):
+    # The two differ in spheres and obstacles, and are padded to one size in the batch.
+    (alone,) = planner.plan([problems[1]], "cpu")
+    np.testing.assert_allclose(alone.trajectories, plans[1].trajectories, atol=2e-3)
+    np.testing.assert_array_equal(alone.good, plans[1].good)
 
 
 def test_a_cost_of_ones_own_works_on_every_path(planner, problems, plans, plain_plans):
