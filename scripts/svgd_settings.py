@@ -28,6 +28,11 @@ from smp_planner.inference.smc import SMCSettings
 
 app = CommandLine(add_completion=False, no_args_is_help=True)
 
+_Out = Annotated[Path, typer.Option(help="Folder of the tables.")]
+_Difficulty = Annotated[str, typer.Option(help="Of the scenes.")]
+_Scenes = Annotated[int, typer.Option(min=2, help="Of each task.")]
+_Seed = Annotated[int, typer.Option(min=0, help="Of the first scene.")]
+
 
 @app.command()
 def lasa(
@@ -67,9 +72,7 @@ def lasa(
 
 @app.command()
 def arm(
-    out: Annotated[Path, typer.Option(help="Folder of the tables.")] = Path(
-        "results/svgd_settings"
-    ),
+    out: _Out = Path("results/svgd_settings"),
     tasks: Names = "",
     priors: Annotated[
         str,
@@ -77,9 +80,9 @@ def arm(
             help=f"Of {', '.join(arm_settings.PRIOR_WIDTHS)}, separated by commas. Default: all."
         ),
     ] = "",
-    difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "hard",
-    scenes: Annotated[int, typer.Option(min=2, help="Of each task.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 20_000,
+    difficulty: _Difficulty = "hard",
+    scenes: _Scenes = 20,
+    seed: _Seed = 20_000,
     jobs: Jobs = 1,
 ) -> None:
     """Plan in scenes of the tasks with each setting; CSV, JSON and Markdown to OUT.
@@ -108,9 +111,7 @@ def arm(
 
 @app.command()
 def posterior(
-    out: Annotated[Path, typer.Option(help="Folder of the tables.")] = Path(
-        "results/svgd_settings"
-    ),
+    out: _Out = Path("results/svgd_settings"),
     tasks: Names = "",
     methods: Annotated[
         str,
@@ -118,9 +119,9 @@ def posterior(
             help=f"Of {'; '.join(arm_posterior.METHODS)}, separated by semicolons. Default: all."
         ),
     ] = "",
-    difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "medium",
-    scenes: Annotated[int, typer.Option(min=2, help="Of each task.")] = 10,
-    seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 79_000,
+    difficulty: _Difficulty = "medium",
+    scenes: _Scenes = 10,
+    seed: _Seed = 79_000,
     jobs: Jobs = 1,
 ) -> None:
     """Hold particle sets of all methods against the posterior, on unselected scenes.

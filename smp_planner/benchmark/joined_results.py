@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 SINGLE_CELLS = "single cells"
-"""What stands for the suite of a cell that none has."""
+"""Name of the suite of a cell that is in none."""
 
 
 class Episode(NamedTuple):

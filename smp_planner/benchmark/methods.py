@@ -1,4 +1,4 @@
-"""What the benchmark measures: planners, and agents, by the specs that name them.
+"""Methods of the benchmark, planners and agents, by the specs that name them.
 
 An agent is ``random``, or ``name=path.zip``, an agent that stable-baselines3 saved; any other spec
 names a planner, see `smp_planner.planners.registry.resolve`. To resolve a spec runs no code of a

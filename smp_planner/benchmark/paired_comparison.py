@@ -44,7 +44,7 @@ BETTER, WORSE, CANNOT_TELL = "better", "worse", "cannot tell"
 """Verdicts on the first of two methods."""
 
 LEVELS = ("cell", "task", "difficulty", "suite", "all")
-"""What episodes are taken together by."""
+"""Levels at which episodes are pooled."""
 
 ALL = "all episodes"
 

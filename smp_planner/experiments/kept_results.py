@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
+from smp_planner.benchmark.manifest import code_digest
 from smp_planner.benchmark.options import pooled
 from smp_planner.benchmark.results_folder import ResultsError, write_json
 
@@ -33,7 +34,8 @@ def kept_results(
 
     Args:
         path: JSON file, made if it is missing.
-        terms: what results must agree in to stand in one file, as JSON holds it.
+        terms: what results must agree in to stand in one file beside the project's code, as JSON
+            holds it.
         function: of a module, since worker processes import it anew; its results are JSON.
         items: an argument for each call, by a name that is unique under these terms.
         title: of the progress bar.
@@ -44,8 +46,9 @@ def kept_results(
         The results by name, in the order of the items.
 
     Raises:
-        ResultsError: the file is damaged, or holds results of other terms.
+        ResultsError: the file is damaged, or holds results of other terms or other code.
     """
+    terms = {**terms, "code": code_digest()}
     results = _read(path, terms) if path.exists() else {}
     missing = [name for name in items if name not in results]
     if missing:
@@ -54,7 +57,7 @@ def kept_results(
 
         def keep(result: Any) -> None:
             results[next(names)] = result
-            write_json(path, {"terms": dict(terms), "results": results})
+            write_json(path, {"terms": terms, "results": results})
 
         chosen = [items[name] for name in missing]
         pooled(function, chosen, title, console, jobs=jobs, on_result=keep)

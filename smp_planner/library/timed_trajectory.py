@@ -13,13 +13,12 @@ import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_gym.atomic_files import write_text
-from smp_planner.collision.robot_model import RobotModel
 
 __all__ = ["TimedTrajectory", "timed"]
 
@@ -36,20 +35,6 @@ of the grid."""
 _LEAST_STEP = 0.25
 """Least distance between two samples of a path that are gone through, as a share of the mean one:
 where a movement begins and ends, samples lie so close that their rounding bends the path."""
-
-
-class Jointed(Protocol):
-    """Protocol of a robot: the names of its n joints, and their limits."""
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(n) names of the joints."""
-        ...
-
-    @property
-    def model(self) -> RobotModel:
-        """The chain."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +119,8 @@ class TimedTrajectory:
 
 
 def timed(
-    robot: Jointed,
+    joints: tuple[str, ...],
+    velocity: FloatArray,
     path: FloatArray,
     acceleration: Any,
     *,
@@ -147,7 +133,8 @@ def timed(
     The path between two samples is that of a cubic spline.
 
     Args:
-        robot: whose joints move, with their limits of velocity.
+        joints: (n) their names.
+        velocity: (n,) rad/s, their limits.
         path: (T, n) rad, T ≥ 2, such as `Plan.best`. Where samples lie much closer than elsewhere,
             some are left out.
         acceleration: rad/s², limit of all joints or of each (n,).
@@ -161,10 +148,10 @@ def timed(
         ValueError: an argument is out of range, all samples are the same, or `duration` is too
             short; the message says how long it takes.
     """
-    joints = len(robot.joints)
-    path = checked_array("path", path, (None, joints))
+    dimension = len(joints)
+    path = checked_array("path", path, (None, dimension))
     limits = np.asarray(acceleration)
-    limits = checked_array("acceleration", limits, (joints,) if limits.ndim else ())
+    limits = checked_array("acceleration", limits, (dimension,) if limits.ndim else ())
     if not (limits > 0.0).all():
         raise ValueError(f"acceleration must be above 0, got {shown(acceleration)}")
     rate = checked_number("rate", rate, above=0.0)
@@ -172,9 +159,8 @@ def timed(
     if len(path) < 2 or not (path != path[0]).any():
         raise ValueError("path must have at least two samples that differ")
 
-    velocity = speed * robot.model.velocity
-    limits = speed**2 * np.broadcast_to(limits, joints)
-    motion = _fastest(path, velocity, limits, rate)
+    limits = speed**2 * np.broadcast_to(limits, dimension)
+    motion = _fastest(path, speed * velocity, limits, rate)
     takes = float(motion.duration)
     if duration is not None:
         duration = checked_number("duration", duration, above=0.0)
@@ -186,7 +172,7 @@ def timed(
     times = np.linspace(0.0, longer * takes, _samples(longer * takes, rate))
     at = np.minimum(times / longer, takes)
     return TimedTrajectory(
-        robot.joints,
+        joints,
         times,
         motion(at),
         motion(at, 1) / longer,

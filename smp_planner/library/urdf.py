@@ -124,7 +124,15 @@ class Robot:
         duration: float | None = None,
     ) -> TimedTrajectory:
         """Return the fastest motion along a path; see `timed_trajectory.timed`."""
-        return timed(self, path, acceleration, rate=rate, speed=speed, duration=duration)
+        return timed(
+            self.joints,
+            self.model.velocity,
+            path,
+            acceleration,
+            rate=rate,
+            speed=speed,
+            duration=duration,
+        )
 
 
 def _named(name: str, given: Any, joints: Mapping[str, Joint]) -> dict[str, Any]:

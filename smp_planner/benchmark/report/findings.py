@@ -1,4 +1,4 @@
-"""What a report says, as numbers: methods, cells, pairs of methods, times and failures."""
+"""Numbers of a report: of methods, cells, pairs of methods, times and failures."""
 
 from __future__ import annotations
 

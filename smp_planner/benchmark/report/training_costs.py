@@ -1,4 +1,4 @@
-"""What training a method has cost, as the cards of shipped agents say."""
+"""Training costs of methods, from the cards of shipped agents."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["TrainingCost", "training_costs"]
 
 @dataclass(frozen=True)
 class TrainingCost:
-    """What training a method for a task has cost.
+    """Training cost of a method on a task.
 
     Attributes:
         method: its name.

@@ -6,6 +6,7 @@ import re
 import pytest
 from rich.console import Console
 
+from smp_planner.benchmark.manifest import code_digest
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.experiments.kept_results import kept_results
 from smp_planner.experiments.method_tuning import (
@@ -112,7 +113,11 @@ def test_damaged_files_are_refused(tmp_path, content):
 
 def test_results_of_other_terms_are_left_as_they_are(tmp_path):
     path = tmp_path / "squares.json"
-    path.write_text(json.dumps({"terms": TERMS, "results": {"1": 1}}))
+    terms = {**TERMS, "code": code_digest()}
+    path.write_text(json.dumps({"terms": terms, "results": {"1": 1}}))
     with pytest.raises(ResultsError, match=r"of other terms .*'easy'.*there.*'hard'.*now"):
         _kept(path, [1], {**TERMS, "difficulty": "hard"})
     assert _kept(path, [1]) == {"1": 1}
+    path.write_text(path.read_text().replace(code_digest(), "of-before"))
+    with pytest.raises(ResultsError, match=r"of-before.* there"):
+        _kept(path, [1])
