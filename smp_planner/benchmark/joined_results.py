@@ -96,26 +96,17 @@ class JoinedResults:
         ]
         manifests = [source.manifest for source in self.sources]
         if len({manifest.code for manifest in manifests}) > 1:
-            if self._pairs_across_code():
+            found.append("Rows of different versions of the code are taken together.")
+            if any(not row.scene for rows in self.rows.values() for row in rows.values()):
                 found.append(
-                    "Rows that are compared were written by different versions of the code; equal "
-                    "seeds are equal scenes only if both draw scenes alike."
+                    "Not all rows hold their scene: whether equal seeds were equal scenes is not "
+                    "known."
                 )
-            else:
-                found.append("Rows of different versions of the code are taken together.")
         versions = [dict(manifest.versions) for manifest in manifests]
         names = sorted({name for each in versions for name in each})
         if other := [name for name in names if len({each.get(name) for each in versions}) > 1]:
             found.append(f"The folders were written with different versions of {', '.join(other)}.")
         return found
-
-    def _pairs_across_code(self) -> bool:
-        """Return whether an episode has rows of different versions of the code."""
-        codes: dict[Episode, set[str]] = {}
-        for method, origins in self.origins.items():
-            for episode in origins:
-                codes.setdefault(episode, set()).add(self.source(method, episode).manifest.code)
-        return any(len(of_one) > 1 for of_one in codes.values())
 
 
 def motion_time(row: EpisodeRow) -> float:
@@ -142,7 +133,7 @@ def join_results(folders: Sequence[Path]) -> JoinedResults:
 
     Raises:
         ResultsError: a folder is given twice or cannot be read, frozen lists are of different
-            folders, or there is no row.
+            folders, rows of equal seeds are of different scenes, or there is no row.
     """
     if not folders or len({folder.resolve() for folder in folders}) < len(folders):
         raise ResultsError(f"name each folder once and at least one, got {_listed(folders)}")
@@ -159,6 +150,7 @@ def join_results(folders: Sequence[Path]) -> JoinedResults:
         Source(name, manifest, len(rows), len(manifest.episode_keys()))
         for name, (manifest, rows) in zip(names, read, strict=True)
     )
+    _check_scenes(zip(names, (rows for _, rows in read), strict=True))
     split = {
         method
         for manifest, _ in read
@@ -185,6 +177,25 @@ def join_results(folders: Sequence[Path]) -> JoinedResults:
 
 def _episode(row: EpisodeRow) -> Episode:
     return Episode(row.key.cell, row.half, row.seed)
+
+
+def _check_scenes(read: Iterable[tuple[str, Sequence[EpisodeRow]]]) -> None:
+    """Raise ResultsError if an episode is one scene in one row and another in another.
+
+    Args:
+        read: names and rows of folders; rows of older versions hold no scene and are passed over.
+    """
+    seen: dict[Episode, tuple[str, str]] = {}
+    for name, rows in read:
+        for row in rows:
+            if not row.scene:
+                continue
+            scene, before = seen.setdefault(_episode(row), (row.scene, name))
+            if scene != row.scene:
+                raise ResultsError(
+                    f"episode {row.seed} of {row.key.cell.name} is one scene in {before!r} and another "
+                    f"in {name!r}, drawn by different versions of the code: play one of them anew"
+                )
 
 
 def _listed(folders: Iterable[Path]) -> str:

@@ -126,8 +126,24 @@ def test_two_versions_of_a_method_are_told_apart_by_their_folders(tmp_path: Path
     assert results.methods == ("smp@old", "smp@new")
     (*_, comparison) = compare_methods(results, "smp@new", "smp@old")
     assert (comparison.counts.first_only, comparison.counts.second_only) == (4, 0)
-    (caution,) = results.cautions()
-    assert "different versions of the code" in caution
+    versions, scenes = results.cautions()
+    assert "different versions of the code" in versions
+    assert "Not all rows hold their scene" in scenes
+
+
+def test_equal_seeds_must_be_equal_scenes(tmp_path: Path) -> None:
+    def drawn(row: EpisodeRow, version: int = 1) -> EpisodeRow:
+        return replace(row, scene=f'{{"seed": {row.seed}, "version": {version}}}')
+
+    def drawn_anew(row: EpisodeRow) -> EpisodeRow:
+        return drawn(row, 2)
+
+    write_folder(tmp_path / "a", TASKS[:1], ("smp",), 2, change=drawn, code="other")
+    write_folder(tmp_path / "b", TASKS[:1], ("rrt_connect",), 2, change=drawn)
+    write_folder(tmp_path / "c", TASKS[:1], ("cpromp",), 2, change=drawn_anew)
+    assert len(join_results([tmp_path / "a", tmp_path / "b"]).cautions()) == 1
+    with pytest.raises(ResultsError, match=r"episode 79400 of .*one scene in 'a'.*in 'c'"):
+        join_results([tmp_path / "a", tmp_path / "c"])
 
 
 def test_other_episodes_of_a_method_are_added(tmp_path: Path) -> None:
