@@ -193,8 +193,9 @@ def _check_scenes(read: Iterable[tuple[str, Sequence[EpisodeRow]]]) -> None:
             scene, before = seen.setdefault(_episode(row), (row.scene, name))
             if scene != row.scene:
                 raise ResultsError(
-                    f"episode {row.seed} of {row.key.cell.name} is one scene in {before!r} and another "
-                    f"in {name!r}, drawn by different versions of the code: play one of them anew"
+                    f"episode {row.seed} of {row.key.cell.name} is one scene in {before!r} and "
+                    f"another in {name!r}, drawn by different versions of the code: play one of "
+                    "them anew"
                 )
 
 
