@@ -1,16 +1,21 @@
 """Methods of the benchmark, planners and agents, by the specs that name them.
 
-An agent is ``random``, or ``name=path.zip``, an agent that stable-baselines3 saved; any other spec
-names a planner, see `smp_planner.planners.registry.resolve`. To resolve a spec runs no code of a
-zip; to make its policy does, since stable-baselines3 pickles.
+An agent is ``random``; ``name=path.zip``, an agent that stable-baselines3 saved; or
+``name=module:Class``, and the name that an installed package gives it, where the class has
+``predict`` as stable-baselines3's agents have it, and no ``plan``. It is called with the name of
+the task, and sees whole observations. Any other spec names a planner, see
+`smp_planner.planners.registry.resolve`. To resolve a spec runs no code of a zip; to make its policy
+does, since stable-baselines3 pickles.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from smp_gym.rollout import Policy
 from smp_gym.suites import Cell
@@ -74,7 +79,10 @@ class Acting:
 
         if self.spec in AGENTS:
             return RandomActions()
-        agent = load_zip(Path(self.spec.partition("=")[2]), self.name)
+        place = _place(self.spec)
+        if not place.endswith(_ZIP):
+            return _made(registry.from_outside(self.name, place), self.name, task)
+        agent = load_zip(Path(place), self.name)
         agent.check(task, sensing)
         return agent
 
@@ -101,12 +109,13 @@ def resolve_method(spec: str) -> Acting:
     """Return the method that a spec names.
 
     Args:
-        spec: one of `AGENTS`, ``name=path.zip``, or the spec of a planner, whose module is
-            imported.
+        spec: one of `AGENTS`, ``name=path.zip``, or the spec of a class or a planner, whose module
+            is imported.
 
     Raises:
-        ValueError: no such name, file, module or class, or a name that is taken or holds other
-            characters than letters, digits, ``_``, ``-`` and ``.``.
+        ValueError: no such name, file, module or class, a class that neither plans nor predicts,
+            or a name that is taken or holds other characters than letters, digits, ``_``, ``-`` and
+            ``.``.
     """
     if spec in AGENTS:
         return Acting(spec, spec, registry.source_digest(__name__), plans=False)
@@ -122,5 +131,34 @@ def resolve_method(spec: str) -> Acting:
         digest = hashlib.sha256(content).hexdigest()[:16]
         # Workers, and a run that is continued, may stand in other folders.
         return Acting(name, f"{name}={Path(place).resolve()}", digest, plans=False)
+    if isinstance(spec, str) and spec not in known_methods() and (place := _place(spec)):
+        name = name or spec
+        if own:
+            registry.check_name(name, spec, place)
+        found = registry.from_outside(name, place)
+        if hasattr(found, "predict") and not hasattr(found, "plan"):
+            return Acting(name, spec, registry.digest_of(place), plans=False)
     planner = registry.resolve(spec)
     return Acting(planner.name, planner.spec, planner.digest, plans=True)
+
+
+def _place(spec: str) -> str:
+    """Return the path or ``module:Class`` that a spec names; empty if it names none."""
+    _, own, place = spec.rpartition("=")
+    return place if own else registry.installed_place(spec) or ""
+
+
+def _made(agent: Callable[..., Any], name: str, task: str) -> Policy:
+    """Return an agent of one's own for a task.
+
+    Raises:
+        ValueError: the class does not take the name of a task alone.
+    """
+    try:
+        inspect.signature(agent).bind(task)
+    except TypeError as error:
+        raise ValueError(
+            f"agent {name!r} must be made by the name of a task alone, as {task!r}: {error}"
+        ) from None
+    made: Policy = agent(task)
+    return made

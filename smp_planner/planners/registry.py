@@ -29,7 +29,10 @@ __all__ = [
     "GROUP",
     "Method",
     "check_name",
+    "digest_of",
+    "from_outside",
     "installed_methods",
+    "installed_place",
     "known_methods",
     "resolve",
     "source_digest",
@@ -119,12 +122,11 @@ def resolve(spec: str) -> Method:
     name, own, place = spec.rpartition("=")
     if own:
         check_name(name, spec, place)
-        return _from_outside(name, spec, place)
+        return _planner_from_outside(name, spec, place)
     if spec in PLANNERS:
         return Method(spec, spec, partial(_make, spec), source_digest(__name__))
-    for entry in metadata.entry_points(group=GROUP):
-        if entry.name == spec:
-            return _from_outside(spec, spec, entry.value)
+    if installed := installed_place(spec):
+        return _planner_from_outside(spec, spec, installed)
     raise ValueError(
         f"unknown method {shown(spec)}; there are: "
         f"{', '.join((*known_methods(), *installed_methods()))}, or name=module:Class"
@@ -152,22 +154,48 @@ def _make(name: str, demonstrations: Demonstrations, **settings: Any) -> Planner
     return make_planner(name, demonstrations=demonstrations, settings=settings)
 
 
-def _from_outside(name: str, spec: str, place: str) -> Method:
-    """Return the method that a class ``module:Class`` is."""
+def from_outside(name: str, place: str) -> Callable[..., Any]:
+    """Return what is called ``module:Class``, importing the module.
+
+    Args:
+        name: of the method that it is, for errors.
+        place: ``module:Class``.
+
+    Raises:
+        ValueError: no such module or class, or it cannot be called.
+    """
     module, _, attribute = place.partition(":")
     if not (module and attribute.isidentifier()):
         raise ValueError(f"method {name!r} must be given as module:Class, got {place!r}")
     try:
-        factory = getattr(importlib.import_module(module), attribute, None)
+        found = getattr(importlib.import_module(module), attribute, None)
     except ImportError as error:
         raise ValueError(f"method {name!r}: no module {module!r} to import: {error}") from error
-    if factory is None:
+    if found is None:
         raise ValueError(f"method {name!r}: the module {module!r} has no {attribute!r}")
-    if not callable(factory) or (inspect.isclass(factory) and not hasattr(factory, "plan")):
+    if not callable(found):
+        raise ValueError(f"method {name!r}: {place!r} must be a class, got {shown(found)}")
+    return found
+
+
+def installed_place(name: str) -> str | None:
+    """Return the ``module:Class`` that an installed package offers as a method, if one does."""
+    found = [entry.value for entry in metadata.entry_points(group=GROUP) if entry.name == name]
+    return found[0] if found else None
+
+
+def digest_of(place: str) -> str:
+    """Return the digest of the source files of a ``module:Class`` that has been imported."""
+    module, _, attribute = place.partition(":")
+    found = getattr(sys.modules[module], attribute)
+    return source_digest(module, getattr(found, "__module__", module))
+
+
+def _planner_from_outside(name: str, spec: str, place: str) -> Method:
+    factory = from_outside(name, place)
+    if inspect.isclass(factory) and not hasattr(factory, "plan"):
         raise ValueError(f"method {name!r}: {place!r} must be a planner, which has plan(problems)")
-    return Method(
-        name, spec, factory, source_digest(module, getattr(factory, "__module__", module))
-    )
+    return Method(name, spec, factory, digest_of(place))
 
 
 def source_digest(*modules: str) -> str:

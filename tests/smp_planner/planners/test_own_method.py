@@ -125,7 +125,7 @@ def test_settings_reach_the_class():
         ("a=nowhere:StraightLine", "no module 'nowhere' to import"),
         ("a=my_planner:Curve", "module 'my_planner' has no 'Curve'"),
         ("a=my_planner:Sequence", "must be a planner, which has plan"),
-        ("a=my_planner:np", "must be a planner, which has plan"),
+        ("a=my_planner:np", "must be a class"),
         ("teleport", "unknown method 'teleport'; there are: smp, promp.*or name=module:Class"),
     ],
 )
