@@ -71,7 +71,7 @@ def test_its_scenes_are_functions_of_the_seed_and_go_to_json_and_observation():
     observation, info = env.reset(seed=4)
     scene = env.unwrapped.scene
     assert scene == sample_scene("ReachPoint", "easy", 4) != sample_scene("ReachPoint", "easy", 5)
-    assert (scene.version, len(scene.obstacles), info["seed"]) == (3, 5, 4)
+    assert (scene.version, len(scene.obstacles), info["seed"]) == (3, 6, 4)
     assert Scene.from_json(scene.to_json()) == scene
     decoded = decode(observation, "ReachPoint").scene
     assert decoded.manipulated is None
