@@ -41,7 +41,7 @@ install: .venv/installed
 	fi
 	# torch alone first: the rest then accepts whichever build of it pip's settings give.
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,meshes,motion-bench-maker,ompl]'
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[all,dev]'
 	@touch $@
 
 demo: install
