@@ -1,4 +1,4 @@
-"""Take the pictures of the tasks that the documentation shows, with the environments' own camera."""
+"""Take the pictures of the tasks for the documentation, with the camera of the environments."""
 
 from __future__ import annotations
 
