@@ -1,9 +1,13 @@
 """The README and the pages of the documentation: blocks run, links lead somewhere."""
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
+
+from smp_gym.observation import observation_space
+from smp_gym.scene import TASKS
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -74,3 +78,25 @@ def test_commands_of_the_documentation_are_there() -> None:
             assert (ROOT / script).exists(), script
         for command in re.findall(r"^smp-bench (\w+)", text, flags=re.MULTILINE):
             assert command in commands, command
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_tables_of_a_task_add_up_to_its_spaces(task: str) -> None:
+    pytest.importorskip("docutils", reason="needs the docs extra")
+    tables = runpy.run_path(str(ROOT / "docs" / "task_tables.py"))["TABLES"]
+
+    def size(rows: list[tuple[str, ...]]) -> int:
+        return int(re.split("–", str(rows[-1][0]))[-1]) + 1
+
+    space = observation_space(task)
+    assert size(tables["goal"](task)) == space["desired_goal"].shape[0]
+    assert size(tables["state"]()) == space["observation"].shape[0]
+    assert size(tables["obstacle"]()) * 16 == space["obstacles"].shape[0]
+    assert size(tables["action"]()) == 7
+    sizes = {row[0].strip("`"): str(row[1]) for row in tables["keys"](task)[1:]}
+    assert sizes["achieved_goal"] == str(space["achieved_goal"].shape[0])
+    assert sizes["observation"] == str(space["observation"].shape[0])
+    assert {row[0] for row in tables["ids"](task)[1:]} == {
+        f"`smp_gym/{task}-v0`",
+        f"`smp_gym/{task}Dense-v0`",
+    }

@@ -53,8 +53,8 @@ class AnyOf:
     """Alternative places: a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
 
     Attributes:
-        options: points (D,) or each a `Box` for start and goal; each a `ViaPoint` of one phase for
-            via-points; each a `GoalRegion` for the goal of a robot's tool.
+        options: points (D,) or `Box`es for start and goal; `ViaPoint`s of one phase for via-points;
+            `GoalRegion`s for the goal of a robot's tool.
         shares: π_h, positive; equal by default.
     """
 
