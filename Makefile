@@ -13,7 +13,7 @@ EPISODES ?= 20
 OUT ?= results/demo
 BIN := .venv/bin
 
-.PHONY: help install demo test lint format
+.PHONY: help install demo test lint format docs
 
 help:
 	@echo "make install   set up .venv with everything (done by the others when needed)"
@@ -21,6 +21,7 @@ help:
 	@echo "make test      ruff, mypy and all tests"
 	@echo "make lint      ruff and mypy only"
 	@echo "make format    format the code"
+	@echo "make docs      build the documentation (Python 3.11): docs/_build/html/index.html"
 
 install: .venv/installed
 
@@ -41,7 +42,7 @@ install: .venv/installed
 	fi
 	# torch alone first: the rest then accepts whichever build of it pip's settings give.
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,meshes,motion-bench-maker,ompl]'
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[all,dev,docs]'
 	@touch $@
 
 demo: install
@@ -59,3 +60,7 @@ lint: install
 format: install
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+docs: install
+	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build/html
+	@echo "docs/_build/html/index.html"

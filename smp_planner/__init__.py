@@ -9,6 +9,8 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+from smp_gym.optional_packages import require
+
 if TYPE_CHECKING:
     from smp_planner.library.smp import (
         SMP,
@@ -49,6 +51,8 @@ try:
     __version__ = version("smp-gym")
 except PackageNotFoundError:  # A checkout on the path that is not installed.
     __version__ = "unknown"
+
+require("planner", "smp_planner")
 
 _HOMES = {
     "PlannerPolicy": "smp_planner.policy.planner_policy",

@@ -25,6 +25,7 @@ ALLOWED_OF_GYM = {
     "sensing",
     "assets",
     "untrusted_files",
+    "optional_packages",
 }
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))

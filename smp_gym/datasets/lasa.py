@@ -9,6 +9,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from smp_gym.arrays import FloatArray
+from smp_gym.optional_packages import require
 
 __all__ = ["demonstrations", "shape_names"]
 
@@ -55,8 +56,9 @@ def _recordings(name: str) -> FloatArray:
 
 
 def _folder() -> Path:
+    require("lasa", "the handwriting data set")
     # Importing the package prints; its data files are all that is wanted.
     package = find_spec(_PACKAGE)
-    if package is None or package.origin is None:
-        raise ModuleNotFoundError(f"{_PACKAGE} is not installed: pip install 'smp-gym[lasa]'")
+    assert package is not None
+    assert package.origin is not None
     return Path(package.origin).parent.joinpath(*_PACKAGE_FOLDER)

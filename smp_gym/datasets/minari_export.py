@@ -20,6 +20,7 @@ import gymnasium
 import numpy as np
 
 from smp_gym.datasets.demonstrations import FORMAT_VERSION, Demonstrations
+from smp_gym.optional_packages import require
 from smp_gym.registration import environment_id
 from smp_gym.rollout import Moment, Policy, rollout
 from smp_gym.scene import DIFFICULTIES, Scene
@@ -43,14 +44,7 @@ _PACKAGES = ("gymnasium", "numpy", "pybullet")
 
 
 def _require_minari() -> None:
-    try:
-        import h5py  # noqa: F401
-        import minari  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            f"data sets of Minari need the package {error.name!r}: "
-            'install it with `pip install "smp-gym[minari]"`'
-        ) from error
+    require("minari", "exporting a data set of Minari")
 
 
 def default_dataset_id(task: str) -> str:

@@ -4,7 +4,7 @@ Such a file is a MoveIt planning scene as robowflex writes it. Of it, the boxes,
 spheres under ``world: collision_objects`` are read, in any orientation. What belongs to the robot
 that the file was made for (its state, what it holds, its collision matrix) is left alone.
 
-Reading needs PyYAML: ``pip install smp-gym[motion-bench-maker]``.
+Reading needs PyYAML: ``pip install "smp-gym[motion-bench-maker]"``.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from smp_gym.arrays import FloatArray, shown
 from smp_gym.geometry.distance import PackedObstacles, signed_distance
 from smp_gym.geometry.registry import REGISTRY
+from smp_gym.optional_packages import require
 from smp_gym.robot import kinematics
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import (
@@ -73,12 +74,8 @@ _IDENTITY_POSE = _Pose(Rotation.identity(), np.zeros(3))
 
 
 def _document(path: Path) -> Mapping[str, Any]:
-    try:
-        content = parse_yaml(read_file(path), "it")
-    except ImportError as error:
-        raise ImportError(
-            "reading MotionBenchMaker files needs PyYAML: pip install smp-gym[motion-bench-maker]"
-        ) from error
+    require("motion-bench-maker", "reading MotionBenchMaker files")
+    content = parse_yaml(read_file(path), "it")
     return _mapping(content, "the file")
 
 

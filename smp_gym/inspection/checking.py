@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 import smp_gym
 from smp_gym.env import ManipulationEnv
 from smp_gym.observation import STATE_LAYOUT
+from smp_gym.optional_packages import require
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
 
@@ -82,6 +83,8 @@ def make(id: str, **arguments: Any) -> ManipulationEnv:
 
 def check_interfaces(id: str, difficulty: str = "medium") -> None:
     """Let Gymnasium and stable-baselines3 check an environment; a warning is an error."""
+    require("rl", "the check by stable-baselines3")
+    require("rl", "the check by stable-baselines3")
     from stable_baselines3.common.env_checker import check_env as stable_baselines3_check_env
 
     env = make(id, difficulty=difficulty)

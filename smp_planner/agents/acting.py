@@ -141,7 +141,9 @@ def _algorithm(data: Mapping[str, Any], path: Path) -> Any:
     try:
         algorithms = importlib.import_module(package)
     except ImportError as error:
-        raise ValueError(f"{path} needs the package {package}: {error}") from None
+        raise ValueError(
+            f'{path} needs the package {package}: {error} (pip install "smp-gym[rl]")'
+        ) from None
     for found in vars(algorithms).values():
         if isinstance(found, type) and found.__name__.lower() == name.replace("_", ""):
             return found

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from smp_gym.optional_packages import require
+
+require("rl", "smp_planner.agents.evaluations")
+
 import csv
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields

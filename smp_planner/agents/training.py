@@ -20,6 +20,10 @@ warning says so.
 
 from __future__ import annotations
 
+from smp_gym.optional_packages import require
+
+require("rl", "smp_planner.agents.training")
+
 import copy
 import json
 import logging

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from smp_gym.atomic_files import replacing
+from smp_gym.optional_packages import require
 from smp_gym.rollout import FieldRecorder
 from smp_planner.benchmark.episodes import (
     TIMES,
@@ -49,13 +50,9 @@ def write_parquet(path: Path, rows: Sequence[EpisodeRow]) -> None:
     Raises:
         ModuleNotFoundError: pyarrow is not installed; the message says how.
     """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "writing Parquet needs pyarrow: pip install 'smp-gym[parquet]'", name="pyarrow"
-        ) from error
+    require("parquet", "writing Parquet")
+    import pyarrow
+    from pyarrow import parquet
 
     kinds = {
         "bool": pyarrow.bool_(),

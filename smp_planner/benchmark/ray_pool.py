@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
+from smp_gym.optional_packages import require
 from smp_planner.benchmark.manifest import code_digest, versions
 from smp_planner.benchmark.results_folder import ResultsError
 
@@ -30,12 +31,9 @@ _Code = tuple[str, dict[str, str]]
 def _ray() -> Any:
     # It reports to its makers otherwise.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
-        import ray
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "the backend 'ray' needs Ray: pip install 'smp-gym[ray]'", name="ray"
-        ) from error
+    require("ray", "the backend 'ray'")
+    import ray
+
     return ray
 
 

@@ -203,7 +203,7 @@ class SMP:
             goal: likewise, where to end; for a robot also a `GoalRegion` of its tool.
             via_points: what to pass in between; `AnyOf` several of one phase for a choice.
             radius: of the ball that moves; 0 is a point. A robot has none.
-            particles: P.
+            particles: how many, P.
             seed: of all randomness; the same call gives the same plan.
             method: one of `smp_planner.adaptation.ADAPTATIONS`, by name or as such; "promp" only
                 conditions the primitive.

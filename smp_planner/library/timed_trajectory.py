@@ -19,6 +19,7 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_gym.atomic_files import write_text
+from smp_gym.optional_packages import require
 
 __all__ = ["TimedTrajectory", "timed"]
 
@@ -203,18 +204,15 @@ def _spaced(path: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _fastest(path: FloatArray, velocity: FloatArray, acceleration: FloatArray, rate: float) -> Any:
     """Return a function of time (s) and order of derivative; ``.duration`` is in s."""
-    try:
-        import toppra
-        from toppra.algorithm import TOPPRA
-        from toppra.constraint import (
-            DiscretizationType,
-            JointAccelerationConstraint,
-            JointVelocityConstraint,
-        )
-    except ImportError as error:
-        raise ImportError(
-            "timing a trajectory needs the package toppra: pip install 'smp-gym[timing]'"
-        ) from error
+    require("timing", "timing a trajectory")
+    import toppra
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import (
+        DiscretizationType,
+        JointAccelerationConstraint,
+        JointVelocityConstraint,
+    )
+
     logging.getLogger("toppra").setLevel(logging.ERROR)
     path, length = _spaced(path)
     # Along its length a path nowhere stands still, as it may along the phase.

@@ -3,7 +3,7 @@
 They take the place of RRT-Connect in `smp_planner.planners.rrt_connect`: the same goals, stretches,
 collision check, shortcuts and smoothing. BIT* (Gammell et al. 2015) and RRT* (Karaman & Frazzoli
 2011) improve their path for as long as they may; here the first one ends the search. OMPL is
-imported when a planner is made (``pip install smp-gym[ompl]``). As a method of the benchmark,
+imported when a planner is made (``pip install "smp-gym[ompl]"``). As a method of the benchmark,
 ``ompl=smp_planner.planners.ompl_search:OMPLPlanner``.
 """
 
@@ -19,6 +19,7 @@ from pydantic import Field
 
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.optional_packages import require
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.planners.rrt_connect.planner import SearchPlanner, SearchSettings
 from smp_planner.planners.rrt_connect.tree_search import search_box
@@ -149,10 +150,7 @@ class OMPLPlanner(SearchPlanner):
     """
 
     def __init__(self, demonstrations: Demonstrations, **settings: Any) -> None:
-        if not ompl_is_installed():
-            raise ModuleNotFoundError(
-                "OMPL is not installed; there is: pip install smp-gym[ompl]", name="ompl"
-            )
+        require("ompl", "a planner of OMPL's")
         s = OMPLSettings.model_validate(settings)
         join: Callable[..., FloatArray | None] = partial(
             ompl_path, algorithm=s.algorithm, seconds=s.seconds, step=s.step

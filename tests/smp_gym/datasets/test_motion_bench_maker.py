@@ -174,7 +174,7 @@ def test_a_missing_file_is_an_os_error(tmp_path):
 
 def test_without_pyyaml_the_error_says_what_to_install(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "yaml", None)
-    with pytest.raises(ImportError, match=r"pip install smp-gym\[motion-bench-maker\]"):
+    with pytest.raises(ImportError, match=r'pip install "smp-gym\[motion-bench-maker\]"'):
         load_obstacles(write(SCENE))
 
 

@@ -93,7 +93,7 @@ def test_without_pyarrow_parquet_says_what_to_install(
     arguments = ["export", str(results), "--format", "parquet"]
     ended = CliRunner().invoke(app, arguments, env={"COLUMNS": "500"})
     assert ended.exit_code == 2
-    assert "pip install 'smp-gym[parquet]'" in ended.output
+    assert 'pip install "smp-gym[parquet]"' in ended.output
 
 
 def test_the_particles_of_an_episode_are_those_that_were_played(tmp_path: Path) -> None:

@@ -104,6 +104,6 @@ def test_without_ray_the_backend_says_what_to_install(
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     out = str(tmp_path / "out")
-    assert "pip install 'smp-gym[ray]'" in run("--backend", "ray", "--out", out)
+    assert 'pip install "smp-gym[ray]"' in run("--backend", "ray", "--out", out)
     assert not (tmp_path / "out").exists()
     assert "must be of processes, ray; got 'slurm'" in run("--backend", "slurm", "--out", out)

@@ -100,5 +100,5 @@ def test_bad_requests_are_named(arm, path, options, message):
 
 def test_without_the_package_it_says_what_to_install(arm, monkeypatch):
     monkeypatch.setitem(sys.modules, "toppra", None)
-    with pytest.raises(ImportError, match=r"pip install 'smp-gym\[timing\]'"):
+    with pytest.raises(ImportError, match=r'pip install "smp-gym\[timing\]"'):
         arm.timed(BEND, 2.0)

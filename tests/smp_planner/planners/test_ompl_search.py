@@ -64,5 +64,5 @@ def test_bad_settings_are_refused(settings):
 def test_without_ompl_the_error_names_the_extra(monkeypatch):
     """As where it is not installed: the import system finds nothing of that name."""
     monkeypatch.setitem(sys.modules, "ompl", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install smp-gym\[ompl\]"):
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "smp-gym\[ompl\]"'):
         OMPLPlanner(Demonstrations.load("Placement"))
