@@ -125,9 +125,9 @@ def run(
         str,
         typer.Option(
             metavar="NAMES",
-            help="Names of methods, separated by commas; name=module:Class is a planner "
-            "or an agent of your own, name=path.zip an agent that stable-baselines3 saved: loading it runs code that "
-            "the file holds, so name only files that you trust.",
+            help="Names of methods, separated by commas; name=module:Class is a planner or an "
+            "agent of your own, name=path.zip an agent that stable-baselines3 saved: loading it "
+            "runs code that the file holds, so name only files that you trust.",
         ),
     ] = "smp,promp",
     episodes: Annotated[
