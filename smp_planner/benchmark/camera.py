@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray
-from smp_gym.geometry.registry import REGISTRY
+from smp_gym.geometry.faces import body_faces
 from smp_gym.scene import Obstacle
 
-__all__ = ["Camera", "Painter", "body_faces"]
+__all__ = ["Camera", "Painter"]
 
 _LIGHT = np.array([0.45, -0.25, 0.86])
 _ROUND = 40
@@ -66,13 +65,6 @@ class Camera:
         depth = self.distance - offset @ back
         flat = np.stack([offset @ right, offset @ up], axis=-1)
         return flat * (self.distance / depth)[..., None], depth
-
-
-def body_faces(body: Obstacle) -> list[FloatArray]:
-    """Return the polygons of a body in the base frame, each (V, 3) m."""
-    rotation = Rotation.from_quat(body.quaternion).as_matrix()
-    faces = REGISTRY[body.shape].faces(np.array(body.size))
-    return [face @ rotation.T + body.position for face in faces]
 
 
 def _normal(face: FloatArray, inside: FloatArray) -> FloatArray:

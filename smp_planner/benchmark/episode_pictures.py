@@ -22,11 +22,12 @@ from scipy.spatial import ConvexHull
 from smp_gym.arrays import FloatArray
 from smp_gym.atomic_files import replacing
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.geometry.faces import body_faces
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
 from smp_gym.rollout import FrameRecorder
 from smp_gym.scene import Obstacle, Scene, fixtures
-from smp_planner.benchmark.camera import Camera, Painter, body_faces
+from smp_planner.benchmark.camera import Camera, Painter
 from smp_planner.benchmark.episodes import (
     EpisodeKey,
     PlayedEpisode,

@@ -271,11 +271,23 @@ class SMP:
                 "demonstrations": self.demonstrations,
                 "obstacles": tuple(obstacles),
                 "outlines": [outline(obstacle) for obstacle in planar],
+                **_display_of(self.robot, self.demonstrations),
             },
             tool_paths=(
                 None if self.robot is None else self.robot.tool_positions(plan.trajectories)
             ),
         )
+
+
+def _display_of(robot: Robot | None, demonstrations: Sequence[FloatArray]) -> dict[str, Any]:
+    """Return what is drawn of a robot's demonstrations and joints, by name."""
+    if robot is None:
+        return {}
+    return {
+        "tool_demonstrations": [robot.tool_positions(path) for path in demonstrations],
+        "joints": robot.joints,
+        "limits": (robot.model.lower, robot.model.upper),
+    }
 
 
 def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:

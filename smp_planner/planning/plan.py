@@ -186,13 +186,40 @@ class Plan:
         return float(sum(self.timings.values()))
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw paths in the plane into matplotlib axes, by default new ones, and return these.
+        """Draw the particles by homotopy class into matplotlib axes, and return these.
+
+        Paths in the plane and in space are drawn as they are, of a robot the paths of its tool,
+        with the demonstrations and the obstacles.
+
+        Args:
+            axes: to draw into; None makes a figure of its own, ``axes.figure`` of the result.
 
         Raises:
-            ValueError: the trajectories are not in the plane.
+            ValueError: coordinates of another number, that are not a robot's.
+            ModuleNotFoundError: matplotlib is not installed.
         """
-        require("bench", "drawing a plan", "matplotlib")
         require("bench", "drawing a plan", "matplotlib")
         from smp_planner.planning.plotting import draw_plan
 
         return draw_plan(self, axes)
+
+    def plot_joints(self) -> Any:
+        """Return a matplotlib figure of each coordinate over the phase, with the joint limits.
+
+        Raises:
+            ModuleNotFoundError: matplotlib is not installed.
+        """
+        require("bench", "drawing a plan", "matplotlib")
+        from smp_planner.planning.plotting import draw_joints
+
+        return draw_joints(self)
+
+    def _repr_png_(self) -> bytes | None:
+        """Return the plan as a notebook shows it, a picture; None where matplotlib is missing."""
+        try:
+            require("bench", "drawing a plan", "matplotlib")
+        except ModuleNotFoundError:
+            return None
+        from smp_planner.planning.plotting import picture
+
+        return picture(self)

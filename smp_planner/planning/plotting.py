@@ -1,46 +1,181 @@
-"""Figures of adapted paths in the plane."""
+"""Figures of plans: paths in the plane, in space or of a robot's tool; joints over the phase."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import io
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from smp_gym.arrays import FloatArray
+from smp_gym.geometry.faces import body_faces
+from smp_gym.scene import Obstacle
 
 if TYPE_CHECKING:
     from smp_planner.planning.plan import Plan
 
-__all__ = ["draw_plan"]
+__all__ = ["draw_joints", "draw_plan", "picture"]
+
+_MOST_CLASSES = 6
+"""Homotopy classes that have a colour and a line in the legend of their own."""
+
+_CLASS_COLORS = ("#1b7f4b", "#2b4c9b", "#8e44ad", "#0f9aa8", "#b5651d", "#c2307a")
+_OTHERS, _NOT_GOOD, _CHOSEN, _DEMONSTRATED = "#5b6770", "#9aa0a6", "#f28c1c", "#c0392b"
+
+_LIMIT_SHOWN = 0.6
+"""Largest distance, rad, of a joint limit from what is drawn at which it is drawn, too."""
 
 
 def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
-    """Draw demonstrations, obstacles and adapted paths; those that collide are dotted.
+    """Draw demonstrations, obstacles and particles in the colours of their homotopy classes.
+
+    Particles that are not good are dotted. Of a robot the paths of its tool are drawn.
 
     Args:
-        plan: of paths in the plane; its `display` may hold "demonstrations", arrays (T_j, 2), and
-            "outlines" of obstacles, arrays (N, 2).
-        axes: to draw into; None makes a figure of its own, which is `axes.figure` of the result.
+        plan: its `display` may hold "demonstrations", arrays (T_j, D), "tool_demonstrations" of a
+            robot, arrays (T_j, 3) m, "outlines" of obstacles in the plane, arrays (N, 2), and
+            "obstacles" in space.
+        axes: to draw into, with projection "3d" in space; None makes a figure of its own, which is
+            ``axes.figure`` of the result.
 
     Raises:
-        ValueError: the paths are not in the plane.
+        ValueError: the paths are neither in the plane nor in space, nor of a robot's tool.
     """
-    if plan.trajectories.shape[-1] != 2:
+    of_tool = plan.tool_paths is not None
+    paths = plan.tool_paths if plan.tool_paths is not None else plan.trajectories
+    dimension = paths.shape[-1]
+    if dimension not in (2, 3):
         raise ValueError(
-            f"only paths in the plane can be drawn, got D = {plan.trajectories.shape[-1]}"
+            "only paths in the plane, in space or of a robot's tool can be drawn, got "
+            f"D = {dimension}; plot_joints draws coordinates over the phase"
         )
+    own = None
     if axes is None:
-        axes = Figure(figsize=(5.0, 5.0), layout="constrained").add_subplot()
-    for index, path in enumerate(plan.display.get("demonstrations", ())):
-        label = "demonstrations" if index == 0 else None
-        axes.plot(*path.T, color="tab:red", linewidth=1.0, linestyle="--", label=label)
-    for index, path in enumerate(plan.trajectories):
-        style = "-" if plan.collision_free[index] else ":"
-        axes.plot(*path.T, color="tab:green", linewidth=0.8, alpha=0.6, linestyle=style)
-    axes.plot(*plan.best.T, color="tab:orange", linewidth=2.0, label="chosen path")
-    axes.plot([], [], color="tab:green", label=f"{len(plan.trajectories)} adapted paths")
-    for outline in plan.display.get("outlines", ()):
-        axes.add_patch(Polygon(outline, color="black"))
+        own = Figure(figsize=(5.5, 5.5), layout="constrained")
+        axes = own.add_subplot(projection="3d" if dimension == 3 else None)
+    _lines(plan, axes, paths, "tool_demonstrations" if of_tool else "demonstrations")
+    if dimension == 2:
+        for outline in plan.display.get("outlines", ()):
+            axes.add_patch(Polygon(outline, color="black"))
+    else:
+        _draw_bodies(axes, plan.display.get("obstacles", ()))
+        for name in "xyz":
+            getattr(axes, f"set_{name}label")(f"{name}, m" if of_tool else name)
     axes.set_aspect("equal")
-    axes.legend(frameon=False)
+    if own is None:
+        axes.legend(frameon=False, fontsize="small", loc="upper right")
+    else:
+        own.legend(frameon=False, fontsize="small", loc="outside lower center", ncols=3)
     return axes
+
+
+def draw_joints(plan: Plan) -> Figure:
+    """Draw each coordinate over the phase, a panel each, with the joint limits that are near.
+
+    Args:
+        plan: its `display` may hold "demonstrations", and of a robot "joints", their names, and
+            "limits", two arrays (D,) rad.
+    """
+    count = plan.trajectories.shape[-1]
+    columns = min(count, 4 if count > 6 else 3)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(3.0 * columns, 2.2 * rows + 0.6), layout="constrained")
+    panels = np.ravel(figure.subplots(rows, columns, sharex=True, squeeze=False))
+    names = plan.display.get("joints") or [f"coordinate {d}" for d in range(count)]
+    limits = plan.display.get("limits")
+    for number, (panel, name) in enumerate(zip(panels, names, strict=False)):
+        values = _over_phase(plan.trajectories[..., number])
+        shown = {
+            "demonstrations": [
+                _over_phase(path[:, number]) for path in plan.display.get("demonstrations", ())
+            ]
+        }
+        _lines(plan, panel, values, "demonstrations", shown)
+        if limits is not None:
+            low, high = panel.get_ylim()
+            for limit in (limits[0][number], limits[1][number]):
+                if low - _LIMIT_SHOWN < limit < high + _LIMIT_SHOWN:
+                    panel.axhline(limit, color="black", linewidth=1.2, label="joint limit")
+        unit = ", rad" if limits is not None else ""
+        panel.set_title(f"{name}{unit}", fontsize="medium")
+    for panel in panels[count:]:
+        panel.set_visible(False)
+    for panel in panels[max(0, count - columns) : count]:
+        panel.set_xlabel("phase")
+    found: dict[str, Any] = {}
+    for panel in panels[:count]:
+        found.update(zip(*reversed(panel.get_legend_handles_labels()), strict=True))
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def picture(plan: Plan) -> bytes:
+    """Return a plan as a PNG file: its paths where they can be drawn, otherwise its coordinates."""
+    if plan.tool_paths is not None or plan.trajectories.shape[-1] in (2, 3):
+        figure: Any = draw_plan(plan).figure
+    else:
+        figure = draw_joints(plan)
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
+
+
+def _over_phase(values: FloatArray) -> FloatArray:
+    """Return values (..., T) as lines (..., T, 2) over the phase."""
+    phase = np.broadcast_to(np.linspace(0.0, 1.0, values.shape[-1]), values.shape)
+    return np.stack([phase, values], axis=-1)
+
+
+def _lines(
+    plan: Plan,
+    axes: Axes,
+    paths: FloatArray,
+    demonstrated: str,
+    display: Mapping[str, Any] | None = None,
+) -> None:
+    """Draw lines of demonstrations, particles (P, T, 2 or 3) and the chosen one, with labels."""
+    shown = plan.display if display is None else display
+    label: str | None = "demonstrations"
+    for path in shown.get(demonstrated, ()):
+        axes.plot(*path.T, color=_DEMONSTRATED, linewidth=1.0, linestyle="--", label=label)
+        label = None
+    for members, color, style, label in _groups(plan):
+        for index in members:
+            axes.plot(
+                *paths[index].T, color=color, linewidth=1.0, alpha=0.7, linestyle=style, label=label
+            )
+            label = None
+    axes.plot(*paths[plan.chosen].T, color=_CHOSEN, linewidth=2.0, label="chosen particle")
+
+
+def _groups(plan: Plan) -> Iterator[tuple[list[int], str, str, str]]:
+    """Yield particles that are drawn alike: their indices, colour, line style and label."""
+    good = np.flatnonzero(plan.good)
+    classes = [good[members] for members in plan.modes.members]
+    named = classes if len(classes) <= _MOST_CLASSES else classes[: _MOST_CLASSES - 1]
+    for number, (members, color) in enumerate(zip(named, _CLASS_COLORS, strict=False), start=1):
+        yield members.tolist(), color, "-", f"class {number}: {len(members)}"
+    rest = [int(index) for members in classes[len(named) :] for index in members]
+    if rest:
+        yield rest, _OTHERS, "-", f"{len(classes) - len(named)} other classes: {len(rest)}"
+    bad = np.flatnonzero(~plan.good).tolist()
+    if bad:
+        yield bad, _NOT_GOOD, ":", f"not good: {len(bad)}"
+
+
+def _draw_bodies(axes: Any, obstacles: Any) -> None:
+    """Draw obstacles in space: bodies by their faces, clouds by their points."""
+    for obstacle in obstacles:
+        if isinstance(obstacle, Obstacle):
+            faces = Poly3DCollection(
+                body_faces(obstacle), facecolor="#444444", edgecolor="none", alpha=0.35
+            )
+            axes.add_collection3d(faces)
+            axes.auto_scale_xyz(*np.concatenate(body_faces(obstacle)).T, had_data=True)
+        else:
+            axes.scatter(*obstacle.points.T, color="#444444", s=1.0, alpha=0.5)

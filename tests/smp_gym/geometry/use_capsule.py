@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.geometry.distance import signed_distance, signed_distance_and_gradient
+from smp_gym.geometry.faces import body_faces
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.observation import decode
 from smp_gym.physics.world import BulletWorld
@@ -15,7 +16,6 @@ from smp_gym.robot.kinematics import arm_spheres, sphere_centers
 from smp_gym.sampling import kernels, sample_scene
 from smp_gym.sampling.conversion import to_obstacle, to_row
 from smp_gym.scene import SHAPES, Obstacle
-from smp_planner.benchmark.camera import body_faces
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.geometry.faces import body_faces
 from smp_gym.scene import Goal, ManipulatedObject, Obstacle, Scene
-from smp_planner.benchmark.camera import Camera, Painter, body_faces
+from smp_planner.benchmark.camera import Camera, Painter
 from smp_planner.benchmark.episode_pictures import FRAME_RATE, scene_figure, write_video
 from smp_planner.benchmark.episodes import EpisodeRow, PlayedEpisode
 from smp_planner.planning.plan import Plan

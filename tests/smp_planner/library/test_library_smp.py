@@ -323,7 +323,7 @@ def test_drawing(plan, tmp_path):
     axes = plan.plot()
     axes.figure.savefig(tmp_path / "plan.png")
     assert len(axes.patches) == 2
-    assert len(axes.lines) == 7 + 42 + 2
+    assert len(axes.lines) == 7 + 42 + 1
 
 
 @pytest.mark.parametrize(
