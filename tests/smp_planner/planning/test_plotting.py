@@ -49,7 +49,8 @@ def test_particles_have_the_colour_of_their_class():
     np.testing.assert_array_equal(demonstrated.get_xydata(), plan.trajectories[5])
     assert len(axes.patches) == 1
     labels = [text.get_text() for text in axes.figure.legends[0].get_texts()]
-    assert labels == ["demonstrations", "class 1: 3", "class 2: 2", "not good: 1", "chosen particle"]
+    classes = ["class 1: 3", "class 2: 2", "not good: 1"]
+    assert labels == ["demonstrations", *classes, "chosen particle"]
 
 
 def test_paths_in_space_are_drawn_with_bodies_around():
