@@ -39,7 +39,7 @@ class DifficultySpecification:
 SPECIFICATIONS = {
     "none": DifficultySpecification(obstacles=0, on_table=0, clearance=0.0, free_share=1.0),
     "easy": DifficultySpecification(
-        6, 0, clearance=0.03, free_share=0.007, wide_share=0.05, blind_share=0.5
+        6, 0, clearance=0.027, free_share=0.007, wide_share=0.04, blind_share=0.5
     ),
     "medium": DifficultySpecification(
         7, 1, clearance=0.02, free_share=0.007, wide_share=0.03, blind_share=0.2
