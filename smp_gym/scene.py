@@ -62,7 +62,7 @@ TASKS: tuple[str, ...]
 """Names of the tasks, as they stand in the environment ids; looked up in `smp_gym.tasks`."""
 
 DIFFICULTIES = ("none", "easy", "medium", "hard")
-"""Difficulties, with 0 / 2 / 4 / 6 obstacles before a goal."""
+"""Difficulties, from no obstacles to many with little room between them."""
 
 FAMILIES = (
     "obstacles",
