@@ -39,6 +39,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from smp_gym.arrays import FloatArray, shown
 from smp_gym.atomic_files import replacing, write_text
+from smp_gym.folder_lock import FolderLock
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, Scene
 from smp_gym.untrusted_files import parse_json, read_file
@@ -183,6 +184,8 @@ def clipped_loss(
 class BumpTraining:
     """One training, in a folder; starting it again goes on exactly from the last checkpoint.
 
+    Nobody else can train in the folder until `close`, or until the process ends.
+
     Args:
         folder: to write.
         agent: "mp_rl" or "detour".
@@ -193,6 +196,7 @@ class BumpTraining:
 
     Raises:
         ValueError: the folder holds another training.
+        OSError: somebody else trains there (`FolderInUseError`), or it cannot be written to.
     """
 
     def __init__(
@@ -216,9 +220,11 @@ class BumpTraining:
         }
         text = json.dumps(description, indent=2) + "\n"
         begun = folder / "run.json"
-        if begun.exists() and begun.read_text() != text:
-            raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
         folder.mkdir(parents=True, exist_ok=True)
+        self._lock = FolderLock(folder)
+        if begun.exists() and begun.read_text() != text:
+            self._lock.close()
+            raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
         write_text(begun, text)
         self._planner = primitive_of(task)
         self._components = self._planner.prior.components()
@@ -232,6 +238,10 @@ class BumpTraining:
         self._scenes: list[Scene] = []
         self._places: list[_Place] = []
         self._restore()
+
+    def close(self) -> None:
+        """Let others train in the folder."""
+        self._lock.close()
 
     @property
     def scenes(self) -> tuple[Scene, ...]:

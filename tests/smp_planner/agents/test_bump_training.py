@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from smp_gym.folder_lock import FolderInUseError
 from smp_gym.scene import TASKS
 from smp_gym.suites import Cell
 from smp_planner.agents.bump_training import (
@@ -104,10 +105,15 @@ def trained(tmp_path_factory):
     first = BumpTraining(whole, **arguments)
     first.run(4, every=1)
     (halves / "scenes.jsonl").write_bytes((whole / "scenes.jsonl").read_bytes())
-    BumpTraining(halves, **arguments).run(1, every=1)
+    begun = BumpTraining(halves, **arguments)
+    begun.run(1, every=1)
+    with pytest.raises(FolderInUseError, match="another process is writing to the folder"):
+        BumpTraining(halves, **arguments)
+    begun.close()
     second = BumpTraining(halves, **arguments)
     assert second.iteration == 1
     second.run(4, every=1)
+    second.close()
     return second, whole, halves
 
 
