@@ -173,14 +173,14 @@ def test_an_evaluation_seed_is_played_when_asked_for(env):
 
 
 def test_an_episode_is_the_same_bit_for_bit_whatever_was_played_before():
-    scenes = [sample_scene("Placement", "medium", seed) for seed in range(7)]
+    scenes = [sample_scene("Placement", "medium", seed) for seed in range(4)]
     digests = []
     for scene in scenes:
         fresh = ManipulationEnv()
         digests.append(rollout_digest(fresh, scene))
         fresh.close()
     used = ManipulationEnv(difficulty="hard")
-    for k in (3, 3, 5, 0, 6, 6, 2, 1, 4, 3):
+    for k in (3, 3, 0, 2, 1, 3, 0):
         assert rollout_digest(used, scenes[k]) == digests[k]
     used.close()
 
