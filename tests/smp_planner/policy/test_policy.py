@@ -176,8 +176,7 @@ def test_a_lost_state_means_a_new_plan_from_where_the_arm_is(policy, env):
 @pytest.mark.parametrize("vectorised", [DummyVecEnv, SubprocVecEnv])
 def test_evaluate_policy_plans_once_per_episode(vectorised, policy, monkeypatch):
     calls = counting(policy, monkeypatch)
-    kwargs = {} if vectorised is DummyVecEnv else {"start_method": "spawn"}
-    venv = vectorised([make_env] * 2, **kwargs)
+    venv = vectorised([make_env] * 2)
     venv.seed(11)
     try:
         rewards, lengths = evaluate_policy(
