@@ -51,8 +51,9 @@ OTHER_EPISODES = 20
 OTHER_SCENES = 2
 """Scenes that these are played in, by turns."""
 
-DIFFICULTY = "easy"
-"""Difficulty of all checked scenes."""
+DIFFICULTY = "hard"
+"""Difficulty of all scenes that are played twice: of the hardest, most obstacles are met, and those
+of DoubleSidedPlacement are drawn soonest."""
 
 NEW_SCENE_EVERY = 10
 """Resets per newly drawn scene; the others repeat scenes."""

@@ -170,6 +170,13 @@ def _occupancy(gap: Tensor, reach: Tensor, width: float, active: Tensor) -> Valu
     return torch.where(active, value, 0.0), torch.where(active, slope, 0.0)
 
 
+def _spheres_of(link: int, body: BodyTables) -> tuple[slice, Tensor]:
+    """Return the rows of a link's spheres in any of B scenes, and their numbers on it (B, rows)."""
+    offsets = body.offsets[:, link]
+    rows = slice(int(offsets.min()), int(body.offsets[:, link + 1].max()))
+    return rows, torch.arange(rows.start, rows.stop, device=offsets.device) - offsets[:, None]
+
+
 def self_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
     """Return the squared occupancy of spheres by one another (B, P), and its gradient."""
     links = chain(tables.chain, trajectories)
@@ -179,32 +186,30 @@ def self_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
     reach = margin + CUTOFF_WIDTHS * width
     value = trajectories.new_zeros(trajectories.shape[:3])
     force, moment = torch.zeros_like(links.position), torch.zeros_like(links.position)
-    rows = torch.arange(placed.shape[-2], device=placed.device)
     balls = tables.body.balls[:, None, None]
     middle = links.position + (links.rotation @ balls[..., :3, None])[..., 0]
     for inner, outer in tables.body.pair_links:
         apart = torch.linalg.vector_norm(middle[..., inner, :] - middle[..., outer, :], dim=-1)
         if bool((apart >= balls[..., inner, 3] + balls[..., outer, 3] + reach).all()):
             continue
-        first = tables.body.offsets[:, inner]
+        near, place = _spheres_of(inner, tables.body)
         for row in range(int(tables.body.offsets[:, outer].min()), placed.shape[-2]):
             mine = link[:, row] == outer
             if not bool(mine.any()):
                 break
-            place = rows - first[:, None]
             bits = tables.body.pair_masks[:, row, inner, None] >> place.clamp(0, 63)
             paired = mine[:, None] & (place >= 0) & (place < 63) & ((bits & 1) == 1)
-            apart = placed - placed[..., row : row + 1, :]
+            apart = placed[..., near, :] - placed[..., row : row + 1, :]
             square = apart.square().sum(-1)
             between = square.clamp_min(1e-18).sqrt()
-            both = (radius + radius[:, row : row + 1])[:, None, None]
+            both = (radius[:, near] + radius[:, row : row + 1])[:, None, None]
             active = paired[:, None, None] & (between < both + reach)
             found, slope = _occupancy(
                 between - both - margin, torch.full_like(between, reach - margin), width, active
             )
             value = value + found.sum(-1)
             pull = (slope / between)[..., None] * apart
-            turn = torch.linalg.cross(placed, pull).sum(-2)
+            turn = torch.linalg.cross(placed[..., near, :], pull).sum(-2)
             pull = pull.sum(-2)
             force[..., inner, :] += pull.detach()
             force[..., outer, :] -= pull.detach()
@@ -231,17 +236,17 @@ def plain_gaps(tables: Tables, stage: BodyTables, trajectories: Tensor) -> tuple
     gap = distance.reshape(placed.shape[:-1]) - radius
     gap = torch.where((link > 0)[:, None, None], gap, torch.inf).amin(-1)
     own = torch.full_like(gap, SELF_HORIZON)
-    rows = torch.arange(placed.shape[-2], device=placed.device)
     for inner, outer in stage.pair_links:
-        place = rows - stage.offsets[:, inner, None]
+        near, place = _spheres_of(inner, stage)
         for row in range(int(stage.offsets[:, outer].min()), placed.shape[-2]):
             mine = link[:, row] == outer
             if not bool(mine.any()):
                 break
             bits = stage.pair_masks[:, row, inner, None] >> place.clamp(0, 63)
             paired = mine[:, None] & (place >= 0) & (place < 63) & ((bits & 1) == 1)
-            apart = torch.linalg.vector_norm(placed - placed[..., row : row + 1, :], dim=-1)
-            apart = apart - radius - radius[..., row : row + 1]
+            apart = placed[..., near, :] - placed[..., row : row + 1, :]
+            apart = torch.linalg.vector_norm(apart, dim=-1)
+            apart = apart - radius[..., near] - radius[..., row : row + 1]
             own = torch.minimum(own, torch.where(paired[:, None, None], apart, torch.inf).amin(-1))
     return gap, own
 

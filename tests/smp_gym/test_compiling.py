@@ -1,12 +1,19 @@
 """Compiled kernels: an edit anywhere takes effect, and a broken cache costs time only."""
 
+import logging
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
+import traceback
 from pathlib import Path
 
+import numba
 import pytest
+from numba.core import config
+
+import smp_gym.compiling  # noqa: F401  (what copies of this process need not import anew)
 
 ROOT = Path(__file__).parents[2]
 
@@ -43,6 +50,12 @@ def _made(folder):
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _compiler():
+    """Let this process compile once, which spares its copies loading the compiler."""
+    numba.njit(lambda x: 2.0 * x)(1.0)
+
+
 @pytest.fixture
 def package(tmp_path):
     return _made(tmp_path)
@@ -52,7 +65,7 @@ def package(tmp_path):
 def first_run(tmp_path_factory):
     """A folder with the package in which a process has compiled, and what that process gave."""
     folder = _made(tmp_path_factory.mktemp("compiled"))
-    return folder, _run(folder)
+    return folder, _run_anew(folder)
 
 
 @pytest.fixture
@@ -65,30 +78,65 @@ def _write(folder, name, text):
     (folder / f"toy/{name}.py").write_text(text)
 
 
-def _start(folder, **variables):
-    # Without bytecode, so that edits within one tick of the clock count for Python itself too.
-    environment = os.environ | {
+def _environment(folder):
+    return {
         "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}",
+        # Without bytecode, so that edits within one tick of the clock count for Python itself too.
         "PYTHONDONTWRITEBYTECODE": "1",
         "XDG_CACHE_HOME": str(folder / "user"),
-        **variables,
+        "NUMBA_CACHE_DIR": "",
     }
-    environment.pop("NUMBA_CACHE_DIR", None)
-    environment.update(variables)
-    return subprocess.Popen(
-        [sys.executable, "-c", RUN],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
 
 
-def _ended(process):
-    output, errors = process.communicate(timeout=120)
-    assert process.returncode == 0, errors
+def _given(output, errors):
     values, _, hits = output.partition("hits")
     return [float(value) for value in values.split()], int(hits), errors
+
+
+def _run_anew(folder):
+    """Use the package in a new process."""
+    ended = subprocess.run(
+        [sys.executable, "-c", RUN],
+        env=os.environ | _environment(folder),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return _given(ended.stdout, ended.stderr)
+
+
+def _start(folder, **variables):
+    """Use the package in a copy of this process, which has imported all but the package."""
+    streams = [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115
+    child = os.fork()
+    if child:
+        return child, streams
+    status = 1
+    try:
+        for number, stream in enumerate(streams, start=1):
+            os.dup2(stream.fileno(), number)
+        sys.stdout, sys.stderr = streams
+        os.environ.update(_environment(folder) | variables)
+        config.reload_config()
+        sys.dont_write_bytecode = True
+        sys.path.insert(0, str(folder))
+        logging.root.handlers.clear()
+        exec(RUN, {})
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        for stream in streams:
+            stream.flush()
+        os._exit(status)
+
+
+def _ended(started):
+    child, streams = started
+    status = os.waitpid(child, 0)[1]
+    output, errors = (stream.seek(0) or stream.read() for stream in streams)
+    assert status == 0, errors
+    return _given(output, errors)
 
 
 def _run(folder, **variables):
@@ -101,7 +149,7 @@ def _entries(folder, pattern="toy.*.nbc"):
 
 def test_kept_for_the_next_process(first_run, compiled):
     assert first_run[1] == ([12.0, 12.0], 0, "")
-    assert _run(compiled) == ([12.0, 12.0], 2, "")
+    assert _run_anew(compiled) == ([12.0, 12.0], 2, "")
 
 
 def test_an_edited_callee_in_another_file_counts(compiled):

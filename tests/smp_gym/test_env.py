@@ -161,7 +161,7 @@ def test_resets_without_seed_repeat_after_a_seed_and_keep_to_tuning_seeds(env):
     runs = []
     for _ in range(2):
         env.reset(seed=123)
-        runs.append([env.reset()[1]["seed"] for _ in range(10)])
+        runs.append([env.reset()[1]["seed"] for _ in range(5)])
     assert runs[0] == runs[1]
     assert len(set(runs[0])) > 1
     assert all(0 <= seed < EVALUATION_SEEDS_START for seed in runs[0])
@@ -173,14 +173,14 @@ def test_an_evaluation_seed_is_played_when_asked_for(env):
 
 
 def test_an_episode_is_the_same_bit_for_bit_whatever_was_played_before():
-    scenes = [sample_scene("Placement", "medium", seed) for seed in range(7)]
+    scenes = [sample_scene("Placement", "medium", seed) for seed in range(4)]
     digests = []
     for scene in scenes:
         fresh = ManipulationEnv()
         digests.append(rollout_digest(fresh, scene))
         fresh.close()
     used = ManipulationEnv(difficulty="hard")
-    for k in (3, 3, 5, 0, 6, 6, 2, 1, 4, 3):
+    for k in (3, 3, 0, 2, 1, 3, 0):
         assert rollout_digest(used, scenes[k]) == digests[k]
     used.close()
 

@@ -18,7 +18,10 @@ IDS = [entry.id for entry in smp_gym.ENVIRONMENTS]
 SEEDS = [11, 12]
 STEPS = 12
 IN_PROCESSES = ["smp_gym/Placement-v0", "smp_gym/PushLiftBoxDense-v0"]
-"""Of different tasks, states and rewards: what crosses a process border has no more kinds."""
+"""Of different tasks, states and rewards: what crosses a process border has no more kinds.
+
+In this process, Gymnasium vectorises the sparse id of each task, stable-baselines3 the dense one.
+"""
 
 
 def moves(env_id):
@@ -58,7 +61,7 @@ def assert_as_alone(env_id, batches, rewards):
 
 
 @pytest.mark.parametrize(
-    ("env_id", "mode"), [(i, "sync") for i in IDS] + [(i, "async") for i in IN_PROCESSES]
+    ("env_id", "mode"), [(i, "sync") for i in IDS[::2]] + [(i, "async") for i in IN_PROCESSES]
 )
 def test_gymnasium_vectorises(env_id, mode):
     env = gymnasium.make_vec(env_id, num_envs=2, vectorization_mode=mode, difficulty="hard")
@@ -76,7 +79,8 @@ def test_gymnasium_vectorises(env_id, mode):
 
 
 @pytest.mark.parametrize(
-    ("env_id", "kind"), [(i, DummyVecEnv) for i in IDS] + [(i, SubprocVecEnv) for i in IN_PROCESSES]
+    ("env_id", "kind"),
+    [(i, DummyVecEnv) for i in IDS[1::2]] + [(i, SubprocVecEnv) for i in IN_PROCESSES],
 )
 def test_stable_baselines3_vectorises(env_id, kind):
     # The module's name lets a new process, too, find the id.
@@ -125,8 +129,8 @@ def test_hindsight_experience_replay_trains(env_id):
         seed=0,
     )
     before = [p.detach().clone() for p in model.actor.parameters()]
-    model.learn(200)
-    assert model.num_timesteps == 200
+    model.learn(100)
+    assert model.num_timesteps == 100
     moved = [not p.equal(b) for p, b in zip(model.actor.parameters(), before, strict=True)]
     assert any(moved)
     assert all(bool(p.isfinite().all()) for p in model.policy.parameters())

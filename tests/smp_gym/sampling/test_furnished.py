@@ -183,8 +183,10 @@ def environments():
 
 @pytest.mark.parametrize(("task", "kind"), CASES)
 def test_witnesses_succeed_in_the_physics(drawn, environments, task, kind):
-    for difficulty, seeds in SEEDS.items():
-        for seed in seeds:
+    # Difficulties differ in the width of the gap: of the second task, the extremes are played.
+    difficulties = CROWDED if task == TASKS[0] else (CROWDED[0], CROWDED[-1])
+    for difficulty in difficulties:
+        for seed in SEEDS[difficulty]:
             scene, witness = drawn[task, kind, difficulty, seed]
             info = play(environments[task], scene, witness)
             assert info["is_success"], (difficulty, seed, info)

@@ -201,7 +201,7 @@ def env():
 
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
 def test_witnesses_succeed_in_the_physics(drawn, difficulty, env):
-    for scene, witness in drawn[difficulty]:
+    for scene, witness in drawn[difficulty][:4]:
         info = play(env, scene, witness)
         assert info["is_success"], (scene.seed, info)
 

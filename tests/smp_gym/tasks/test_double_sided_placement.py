@@ -1,14 +1,14 @@
 """DoubleSidedPlacement: its rules on goals made by hand, its data and scenes in the physics."""
 
+from functools import cache
+
 import gymnasium
 import numpy as np
 import pybullet
 import pytest
 from bullet_arm import Bullet
-from rollouts import rollout_digest
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.env import ManipulationEnv
 from smp_gym.observation import decode
 from smp_gym.robot import kinematics
 from smp_gym.rollout import play
@@ -41,7 +41,8 @@ LEFT, RIGHT = (0.4, 0.45, 0.13), (0.45, -0.4, 0.08)
 DESIRED = np.array([*LEFT, *RIGHT, 0.0, 1.0, 1.0, 1.0])
 ID = "smp_gym/DoubleSidedPlacement-v0"
 BLOCKED = ("easy", "medium", "hard")
-SEEDS = range(5)
+SEEDS = range(1, 5)
+"""Of scenes that are drawn in a second; the easy one of seed 0 takes ten."""
 
 
 def goal(place, offset=(0.0, 0.0, 0.0), collided=0.0, released=1.0, at_rest=1.0, supported=1.0):
@@ -240,20 +241,6 @@ def test_lowering_the_held_object_onto_a_pad_is_a_collision(env):
     assert info["side"] == ""
 
 
-def test_an_episode_is_the_same_bit_for_bit_whatever_was_played_before():
-    scenes = [sample_scene("DoubleSidedPlacement", "medium", seed) for seed in range(4)]
-    digests = []
-    for drawn in scenes:
-        fresh = ManipulationEnv(task="DoubleSidedPlacement")
-        digests.append(rollout_digest(fresh, drawn))
-        fresh.close()
-    assert len(set(digests)) == len(digests)
-    used = ManipulationEnv(task="DoubleSidedPlacement", difficulty="hard")
-    for k in (3, 3, 0, 2, 1, 3, 0):
-        assert rollout_digest(used, scenes[k]) == digests[k]
-    used.close()
-
-
 # --- Demonstrations --------------------------------------------------------------------------
 
 
@@ -287,14 +274,10 @@ def test_each_demonstration_succeeds_in_the_physics(shipped, index, env):
 # --- Scenes ----------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def drawn():
-    return {
-        difficulty: [
-            sample_with_witness("DoubleSidedPlacement", difficulty, seed) for seed in SEEDS
-        ]
-        for difficulty in ("none", *BLOCKED)
-    }
+@cache
+def drawn(difficulty):
+    """Return scenes with witnesses, drawn once for all tests."""
+    return [sample_with_witness("DoubleSidedPlacement", difficulty, seed) for seed in SEEDS]
 
 
 def taken(drawn_scene):
@@ -309,33 +292,34 @@ def taken(drawn_scene):
 
 
 @pytest.mark.parametrize(("difficulty", "walls"), [("none", 0), ("easy", 1), ("medium", 1)])
-def test_both_sides_are_blocked_and_open_or_one_is_closed_off(drawn, difficulty, walls):
-    for drawn_scene, _ in drawn[difficulty]:
+def test_both_sides_are_blocked_and_open_or_one_is_closed_off(difficulty, walls):
+    for drawn_scene, _ in drawn(difficulty):
         closed = len(taken(drawn_scene))
         assert closed <= (difficulty != "none")
         blocked = (2 - closed) * SPECIFICATIONS[difficulty].obstacles
         assert len(drawn_scene.obstacles) == walls + blocked + closed
 
 
-def test_pads_are_where_the_task_says(drawn):
-    for pairs in drawn.values():
-        for drawn_scene, _ in pairs:
+def test_pads_are_where_the_task_says():
+    for difficulty in ("none", *BLOCKED):
+        for drawn_scene, _ in drawn(difficulty):
             for pad, nominal in zip(drawn_scene.goals, NOMINAL_PADS, strict=True):
                 shift = np.subtract(pad.position, nominal)
                 assert np.hypot(*shift[:2]) <= PAD_SHIFT
                 assert PAD_LOWEST <= pad.position[2] <= PAD_TOP
 
 
-def test_scenes_are_pure_functions(drawn):
+def test_scenes_are_pure_functions():
     for difficulty in ("easy", "hard"):
         again = sample_with_witness("DoubleSidedPlacement", difficulty, 2)
-        assert again[0] == drawn[difficulty][2][0]
-        np.testing.assert_array_equal(again[1], drawn[difficulty][2][1])
+        there = drawn(difficulty)[SEEDS.index(2)]
+        assert again[0] == there[0]
+        np.testing.assert_array_equal(again[1], there[1])
 
 
 @pytest.mark.parametrize("difficulty", ["none", *BLOCKED])
-def test_witnesses_succeed_in_the_physics(drawn, difficulty, env):
-    for drawn_scene, witness in drawn[difficulty]:
+def test_witnesses_succeed_in_the_physics(difficulty, env):
+    for drawn_scene, witness in drawn(difficulty):
         info = play(env, drawn_scene, witness)
         assert info["is_success"], (drawn_scene.seed, info)
 
@@ -348,28 +332,28 @@ def bullet():
 
 
 @pytest.mark.parametrize("difficulty", BLOCKED)
-def test_real_shapes_on_the_witness_keep_its_clearance(drawn, difficulty, bullet):
-    for drawn_scene, witness in drawn[difficulty][:2]:
+def test_real_shapes_on_the_witness_keep_its_clearance(difficulty, bullet):
+    for drawn_scene, witness in drawn(difficulty)[:2]:
         least = bullet.clearance(witness[::2], drawn_scene.obstacles)
         assert least >= SPECIFICATIONS[difficulty].clearance - 1e-3
 
 
 @pytest.mark.parametrize("difficulty", ["easy", "medium"])
-def test_the_mean_is_blocked_on_both_sides(drawn, difficulty, bullet, shipped):
+def test_the_mean_is_blocked_on_both_sides(difficulty, bullet, shipped):
     phase = np.linspace(0.0, 1.0, 200)[:, None]
     blend = phase**3 * (10 - 15 * phase + 6 * phase**2)
-    for drawn_scene, _ in drawn[difficulty][:4]:
+    for drawn_scene, _ in drawn(difficulty):
         for side, pad in enumerate(drawn_scene.goals):
             mean = shipped.configurations[7 * side : 7 * side + 7].mean(axis=0)
             mean = mean + blend * (release(pad.position) - mean[-1])
             assert bullet.clearance(mean[::2], drawn_scene.obstacles) <= 0.0
 
 
-def test_at_hard_one_pad_has_no_room_for_the_object(drawn, bullet):
+def test_at_hard_one_pad_has_no_room_for_the_object(bullet):
     rng = np.random.default_rng(0)
     half = ManipulatedObject().size
     sides = set()
-    for drawn_scene, witness in drawn["hard"][:5]:
+    for drawn_scene, witness in drawn("hard"):
         # The wall, those on the open side, and the one on the other pad.
         assert len(drawn_scene.obstacles) == 1 + SPECIFICATIONS["hard"].obstacles + 1
         (closed,) = taken(drawn_scene)

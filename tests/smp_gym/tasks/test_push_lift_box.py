@@ -166,7 +166,8 @@ def test_demonstrations_begin_all_over_the_region(shipped):
     assert len({scene.manipulated.position for scene in shipped.scenes}) == 7
 
 
-@pytest.mark.parametrize("number", range(7))
+# All are played where they are recorded anew.
+@pytest.mark.parametrize("number", [0, 3, 6])
 def test_a_demonstration_succeeds_in_the_physics(env, shipped, number):
     grasp = int(shipped.gripper[number].argmax())
     info = play(
@@ -205,7 +206,7 @@ def test_collision_of_the_hand_with_the_table(env):
 @pytest.mark.parametrize("difficulty", ["none", *BLOCKED])
 def test_witnesses_solve_their_scenes_in_the_physics(env, shipped, difficulty):
     grasp = shipped.metadata["push_samples"][1]
-    for seed in range(6):
+    for seed in range(4):
         drawn, witness = sample_with_witness("PushLiftBox", difficulty, seed)
         assert len(drawn.obstacles) == (CROWDS[difficulty][1] if difficulty in CROWDS else 0)
         info = play(env, drawn, witness, grasp=grasp)

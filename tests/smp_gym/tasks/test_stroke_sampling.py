@@ -75,7 +75,7 @@ def test_scenes_are_what_the_difficulty_says(drawn, difficulty):
 
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
 def test_witnesses_solve_their_scenes_in_the_physics(drawn, difficulty, env):
-    for scene, witness in drawn[difficulty]:
+    for scene, witness in drawn[difficulty][:4]:
         info = play(env, scene, witness)
         assert info["is_success"], (scene.seed, info)
 

@@ -10,7 +10,8 @@ from smp_planner.planners import make_planner
 def planner():
     """A planner on the exact map, small enough for tests."""
     settings = {"map": "exact", "particles": 4, "iterations": 8, "retries": 0}
-    settings |= {"samples": 60, "planning_steps": 30, "inference": "quick", "widths": (1.0,)}
+    # The wider apart samples are, the more there is to be checked between them.
+    settings |= {"samples": 200, "planning_steps": 30, "inference": "quick", "widths": (1.0,)}
     return make_planner("smp", "Placement", settings=settings)
 
 

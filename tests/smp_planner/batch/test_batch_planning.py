@@ -83,7 +83,7 @@ def test_a_cost_of_ones_own_is_checked(planner, problems):
 
 
 def test_conditioning_alone_can_be_planned_on_a_device(problems):
-    planner = make_planner("promp", "Placement", settings={"particles": 4, "samples": 30})
+    planner = make_planner("promp", "Placement", settings={"particles": 4, "samples": 200})
     mine, other = planner.plan(problems, "cpu")[0], planner.plan(problems)[0]
     np.testing.assert_allclose(mine.trajectories, other.trajectories, atol=1e-9)
     np.testing.assert_array_equal(mine.good, other.good)

@@ -28,7 +28,7 @@ from typer.testing import CliRunner
 
 from smp_gym.datasets.frozen import FrozenEpisode, list_path, load_episodes, write_episodes
 from smp_gym.suites import SUITES, Cell
-from smp_planner.benchmark import runner
+from smp_planner.benchmark import runner, worker_pool
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import TIMES, EpisodeKey, EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_results
@@ -77,10 +77,10 @@ def test_unknown_names_list_what_exists(arguments: tuple[Any, ...], message: str
         make_manifest(*arguments)
 
 
-@pytest.fixture
-def lists(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def lists(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a list of four episodes, in two halves, and one that nobody solved."""
-    folder = tmp_path / "lists"
+    folder = tmp_path_factory.mktemp("lists")
     episodes = [
         FrozenEpisode(half, seed, HARD.scene(seed), "reference")
         for seed in (3, 4)
@@ -149,19 +149,20 @@ def test_csv_is_sorted_and_ends_with_the_times(tmp_path: Path) -> None:
 # What is played
 
 
-def test_rows_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+def test_rows_of_two_spawned_workers_are_those_of_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They compute on one thread each, whatever the environment says."""
+    monkeypatch.setattr(worker_pool, "START", "spawn")
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    before = dict(os.environ)
     keys = sorted(manifest().episode_keys())
-    rows = runner.run(manifest(), tmp_path / "two", jobs=2, player=fake_play)
-    here = [fake_play(key) for key in keys]
+    rows = runner.run(manifest(), tmp_path, jobs=2, player=reports_threads)
+    assert dict(os.environ) == before
+    assert {row.message for row in rows} == {"1 1"}
+    here = [dataclasses.replace(fake_play(key), message="1 1") for key in keys]
     assert without_times(rows) == without_times(here)
     assert [row.key for row in rows] == keys
-
-
-def test_workers_compute_on_one_thread(tmp_path: Path) -> None:
-    before = dict(os.environ)
-    (row,) = runner.run(manifest(1, methods=("smp",)), tmp_path, jobs=1, player=reports_threads)
-    assert row.message == "1 1"
-    assert dict(os.environ) == before
 
 
 def reports_threads(key: EpisodeKey) -> EpisodeRow:

