@@ -22,6 +22,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "parquet": ("pyarrow",),
         "ray": ("ray",),
         "timing": ("toppra",),
+        "viewer": ("viser",),
     }
 )
 """Modules that the code imports by the extra of the package that brings them."""

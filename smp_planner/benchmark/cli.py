@@ -1,4 +1,4 @@
-"""The command ``smp-bench``: measure methods, show results, draw one episode."""
+"""The command ``smp-bench``: measure methods, show results, draw or watch one episode."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from smp_planner.benchmark.options import (
     split_names,
 )
 from smp_planner.benchmark.report_command import report
+from smp_planner.benchmark.watching_command import watch
 
 if TYPE_CHECKING:
     from smp_planner.benchmark.episodes import EpisodeRow
@@ -324,5 +325,6 @@ def show(
 app.command()(export)
 app.command("import")(import_results)
 app.command()(draw)
+app.command()(watch)
 app.command()(compare)
 app.command()(report)

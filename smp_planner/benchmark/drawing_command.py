@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -29,7 +29,21 @@ if TYPE_CHECKING:
     from smp_planner.benchmark.episodes import EpisodeKey
     from smp_planner.benchmark.manifest import Manifest
 
-__all__ = ["draw", "draw_episodes"]
+__all__ = ["Half", "Method", "draw", "draw_episodes", "one_episode"]
+
+Method = Annotated[
+    str,
+    typer.Option(help="Name of the method, name=module:Class, or name=path.zip, which runs code."),
+]
+"""Option for the method of one episode."""
+
+Half = Annotated[
+    str,
+    typer.Option(
+        help="Half of a frozen list, witness or placed; the seed then names an episode of it."
+    ),
+]
+"""Option for where that episode is from."""
 
 
 def draw_episodes(
@@ -53,23 +67,13 @@ def draw_episodes(
 def draw(
     out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
-    method: Annotated[
-        str,
-        typer.Option(
-            help="Name of the method, name=module:Class, or name=path.zip, which runs code."
-        ),
-    ] = "smp",
+    method: Method = "smp",
     difficulty: Difficulty = None,
     family: Family = None,
     sensing: Sensing = None,
     noise: Noise = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
-    half: Annotated[
-        str,
-        typer.Option(
-            help="Half of a frozen list, witness or placed; the seed then names an episode of it."
-        ),
-    ] = "",
+    half: Half = "",
     lists: Lists = None,
     replan_every: ReplanEvery = None,
     latency: Latency = None,
@@ -80,16 +84,39 @@ def draw(
 
     Example: [green]smp-bench draw --method smp --seed 7 --out results/seven[/green]
     """
+    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
+    replanned = replanning(replan_every, latency)
+    manifest, key = one_episode(task, method, seed, half, lists, single, replanned)
+    draw_episodes(manifest, out, [key], figure=figure, video=video)
+
+
+def one_episode(
+    task: str,
+    method: str,
+    seed: int,
+    half: str,
+    lists: Path | None,
+    single: Mapping[str, Any],
+    replanned: Mapping[str, Any],
+) -> tuple[Manifest, EpisodeKey]:
+    """Return the manifest of a run of one episode, and its key; ends the command on bad options.
+
+    Args:
+        task: of the episode, as the next.
+        method: spec of the method.
+        seed: of the episode.
+        half: of the frozen list that it is from; empty if its scene is drawn from the seed.
+        lists: folder of the frozen lists.
+        single: options of the cell by name.
+        replanned: see `replanning`.
+    """
     from smp_planner.benchmark.episodes import EpisodeKey
 
-    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
     (cell,) = chosen_cells("", (task,), (), single)
     if half:
         _check_listed(cell, half, seed, lists)
-    replanned = replanning(replan_every, latency)
     manifest = requested_manifest((cell,), (method,), seed, 1, lists=lists, **replanned)
-    key = EpisodeKey.of(cell, manifest.methods[0], seed, half)
-    draw_episodes(manifest, out, [key], figure=figure, video=video)
+    return manifest, EpisodeKey.of(cell, manifest.methods[0], seed, half)
 
 
 def _check_listed(cell: Cell, half: str, seed: int, lists: Path | None) -> None:

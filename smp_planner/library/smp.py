@@ -286,7 +286,7 @@ def _display_of(robot: Robot | None, demonstrations: Sequence[FloatArray]) -> di
     return {
         "tool_demonstrations": [robot.tool_positions(path) for path in demonstrations],
         "joints": robot.joints,
-        "limits": (robot.model.lower, robot.model.upper),
+        "model": robot.model,
     }
 
 

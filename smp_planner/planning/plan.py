@@ -214,6 +214,21 @@ class Plan:
 
         return draw_joints(self)
 
+    def watch(self, *, host: str = "127.0.0.1", port: int = 8080) -> Any:
+        """Show paths in space, or a robot's, in the browser; returns the `viewer.Page`.
+
+        Args:
+            host: address that is listened on; "0.0.0.0" lets other machines see the page.
+            port: if it is taken, the next free one is.
+
+        Raises:
+            ValueError: the paths are neither in space nor of a robot.
+            ModuleNotFoundError: viser is not installed.
+        """
+        from smp_planner.planning.viewer import exhibit_of, show
+
+        return show(exhibit_of(self), host=host, port=port)
+
     def _repr_png_(self) -> bytes | None:
         """Return the plan as a notebook shows it, a picture; None where matplotlib is missing."""
         try:

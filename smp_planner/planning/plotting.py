@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,17 +15,17 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from smp_gym.arrays import FloatArray
 from smp_gym.geometry.faces import body_faces
 from smp_gym.scene import Obstacle
+from smp_planner.planning.particle_groups import (
+    CHOSEN,
+    DEMONSTRATED,
+    OBSTACLE,
+    particle_groups,
+)
 
 if TYPE_CHECKING:
     from smp_planner.planning.plan import Plan
 
 __all__ = ["draw_joints", "draw_plan", "picture"]
-
-_MOST_CLASSES = 6
-"""Homotopy classes that have a colour and a line in the legend of their own."""
-
-_CLASS_COLORS = ("#1b7f4b", "#2b4c9b", "#8e44ad", "#0f9aa8", "#b5651d", "#c2307a")
-_OTHERS, _NOT_GOOD, _CHOSEN, _DEMONSTRATED = "#5b6770", "#9aa0a6", "#f28c1c", "#c0392b"
 
 _LIMIT_SHOWN = 0.6
 """Largest distance, rad, of a joint limit from what is drawn at which it is drawn, too."""
@@ -79,7 +79,7 @@ def draw_joints(plan: Plan) -> Figure:
 
     Args:
         plan: its `display` may hold "demonstrations", and of a robot "joints", their names, and
-            "limits", two arrays (D,) rad.
+            "model", a `RobotModel`, whose limits are drawn.
     """
     count = plan.trajectories.shape[-1]
     columns = min(count, 4 if count > 6 else 3)
@@ -87,7 +87,7 @@ def draw_joints(plan: Plan) -> Figure:
     figure = Figure(figsize=(3.0 * columns, 2.2 * rows + 0.6), layout="constrained")
     panels = np.ravel(figure.subplots(rows, columns, sharex=True, squeeze=False))
     names = plan.display.get("joints") or [f"coordinate {d}" for d in range(count)]
-    limits = plan.display.get("limits")
+    model = plan.display.get("model")
     for number, (panel, name) in enumerate(zip(panels, names, strict=False)):
         values = _over_phase(plan.trajectories[..., number])
         shown = {
@@ -96,12 +96,12 @@ def draw_joints(plan: Plan) -> Figure:
             ]
         }
         _lines(plan, panel, values, "demonstrations", shown)
-        if limits is not None:
+        if model is not None:
             low, high = panel.get_ylim()
-            for limit in (limits[0][number], limits[1][number]):
+            for limit in (model.lower[number], model.upper[number]):
                 if low - _LIMIT_SHOWN < limit < high + _LIMIT_SHOWN:
                     panel.axhline(limit, color="black", linewidth=1.2, label="joint limit")
-        unit = ", rad" if limits is not None else ""
+        unit = "" if model is None else ", rad"
         panel.set_title(f"{name}{unit}", fontsize="medium")
     for panel in panels[count:]:
         panel.set_visible(False)
@@ -142,30 +142,15 @@ def _lines(
     shown = plan.display if display is None else display
     label: str | None = "demonstrations"
     for path in shown.get(demonstrated, ()):
-        axes.plot(*path.T, color=_DEMONSTRATED, linewidth=1.0, linestyle="--", label=label)
+        axes.plot(*path.T, color=DEMONSTRATED, linewidth=1.0, linestyle="--", label=label)
         label = None
-    for members, color, style, label in _groups(plan):
-        for index in members:
-            axes.plot(
-                *paths[index].T, color=color, linewidth=1.0, alpha=0.7, linestyle=style, label=label
-            )
+    for group in particle_groups(plan):
+        label = group.label
+        for path in paths[group.members]:
+            style = "-" if group.good else ":"
+            axes.plot(*path.T, color=group.color, lw=1.0, alpha=0.7, linestyle=style, label=label)
             label = None
-    axes.plot(*paths[plan.chosen].T, color=_CHOSEN, linewidth=2.0, label="chosen particle")
-
-
-def _groups(plan: Plan) -> Iterator[tuple[list[int], str, str, str]]:
-    """Yield particles that are drawn alike: their indices, colour, line style and label."""
-    good = np.flatnonzero(plan.good)
-    classes = [good[members] for members in plan.modes.members]
-    named = classes if len(classes) <= _MOST_CLASSES else classes[: _MOST_CLASSES - 1]
-    for number, (members, color) in enumerate(zip(named, _CLASS_COLORS, strict=False), start=1):
-        yield members.tolist(), color, "-", f"class {number}: {len(members)}"
-    rest = [int(index) for members in classes[len(named) :] for index in members]
-    if rest:
-        yield rest, _OTHERS, "-", f"{len(classes) - len(named)} other classes: {len(rest)}"
-    bad = np.flatnonzero(~plan.good).tolist()
-    if bad:
-        yield bad, _NOT_GOOD, ":", f"not good: {len(bad)}"
+    axes.plot(*paths[plan.chosen].T, color=CHOSEN, linewidth=2.0, label="chosen particle")
 
 
 def _draw_bodies(axes: Any, obstacles: Any) -> None:
@@ -173,9 +158,9 @@ def _draw_bodies(axes: Any, obstacles: Any) -> None:
     for obstacle in obstacles:
         if isinstance(obstacle, Obstacle):
             faces = Poly3DCollection(
-                body_faces(obstacle), facecolor="#444444", edgecolor="none", alpha=0.35
+                body_faces(obstacle), facecolor=OBSTACLE, edgecolor="none", alpha=0.35
             )
             axes.add_collection3d(faces)
             axes.auto_scale_xyz(*np.concatenate(body_faces(obstacle)).T, had_data=True)
         else:
-            axes.scatter(*obstacle.points.T, color="#444444", s=1.0, alpha=0.5)
+            axes.scatter(*obstacle.points.T, color=OBSTACLE, s=1.0, alpha=0.5)

@@ -1,17 +1,18 @@
 """Figures of plans: what is drawn, by class, and where; pictures of notebooks."""
 
 import io
+from dataclasses import replace
 
 import imageio.v2 as imageio
 import numpy as np
 import pytest
 
 from smp_gym.scene import Obstacle
+from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planning.plan import Plan
 
 PHASE = np.linspace(0.0, 1.0, 30)
 BALL = Obstacle(shape="sphere", position=(0.5, 0.0, 0.9), size=(0.1, 0.1, 0.1))
-LIMITS = (np.full(6, -1.0), np.full(6, 2.2))
 
 
 def plan_of(dimension, **fields):
@@ -69,7 +70,7 @@ def test_of_a_robot_the_paths_of_the_tool_are_drawn_and_its_joints():
     display = {
         "tool_demonstrations": tool[:2],
         "joints": [f"joint_{n}" for n in range(1, 7)],
-        "limits": LIMITS,
+        "model": replace(jaco_model(), lower=np.full(6, -1.0), upper=np.full(6, 2.2)),
     }
     plan = plan_of(6, tool_paths=tool, display=display)
     axes = plan.plot()
