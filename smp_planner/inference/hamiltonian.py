@@ -28,6 +28,9 @@ _ADAPTATION_GAIN = 0.5
 
 _STEPS = 0.01, 1.0
 
+_FARTHEST = 1e3
+"""Coordinate of a particle beyond which its flow has diverged: the prior has none there."""
+
 
 class Evaluated(NamedTuple):
     """Particles with their potential.
@@ -94,16 +97,24 @@ def _flow(
     potential: Potential,
     leapfrogs: int,
 ) -> tuple[Evaluated, FloatArray]:
-    """Return particles and momenta (P, r) after some steps of the flow, angles (P, 1) each."""
+    """Return particles and momenta (P, r) after some steps of the flow, angles (P, 1) each.
+
+    A flow that diverges, as it may where the potential is steep and the step long, goes on from its
+    start and has an infinite potential in the end, so that its move is refused.
+    """
     cosine, sine = np.cos(angle), np.sin(angle)
-    now = start
+    now, diverged = start, np.zeros(len(angle), np.bool_)
     for _ in range(leapfrogs):
         momentum = momentum - 0.5 * angle * now.gradient
         particles = cosine * now.particles + sine * momentum
         momentum = cosine * momentum - sine * now.particles
+        # Neither is infinity or NaN within the bound.
+        diverged |= ~(np.abs([particles, momentum]) <= _FARTHEST).all(axis=(0, 2))
+        particles = np.where(diverged[:, None], start.particles, particles)
+        momentum = np.where(diverged[:, None], 0.0, momentum)
         now = Evaluated(particles, *potential(particles))
         momentum = momentum - 0.5 * angle * now.gradient
-    return now, momentum
+    return now._replace(value=np.where(diverged, np.inf, now.value)), momentum
 
 
 def _energy(at: Evaluated, momentum: FloatArray) -> FloatArray:

@@ -192,6 +192,7 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
     for number, points in enumerate(exhibit.clouds):
         name = f"clouds/{number}"
         nodes[name] = scene.add_point_cloud(name, points, _rgb(OBSTACLE), point_size=0.005)
+    _look_at(server, [path for lines in exhibit.lines.values() for path in lines.paths])
     server.gui.add_markdown(exhibit.title)
     for label, lines in exhibit.lines.items():
         if len(lines.paths):
@@ -201,6 +202,18 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
     if exhibit.motions:
         _add_robot(server, exhibit.motions, nodes, controls)
     return Page(server, nodes, controls)
+
+
+def _look_at(server: ViserServer, paths: Sequence[FloatArray]) -> None:
+    """Let pages open with a view of paths from the front right, above."""
+    points = np.concatenate([np.reshape(path, (-1, 3)) for path in paths] or [np.zeros((1, 3))])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    extent = max(float(np.ptp(points, axis=0).max()), 0.5)
+
+    @server.on_client_connect
+    def _(client: Any) -> None:
+        client.camera.look_at = tuple(middle)
+        client.camera.position = tuple(middle + extent * np.array([1.3, -0.7, 0.7]))
 
 
 def _add_lines(server: ViserServer, name: str, label: str, lines: Lines) -> tuple[Any, Any]:

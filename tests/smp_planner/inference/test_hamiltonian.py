@@ -61,3 +61,24 @@ def test_same_generator_same_moves():
         for _ in range(2)
     )
     np.testing.assert_array_equal(first, second)
+
+
+def test_a_flow_that_diverges_is_refused_and_shortened():
+    """Of a quartic potential, long steps fly off doubly exponentially."""
+
+    def quartic(z):
+        assert np.abs(z).max() <= 1e3
+        return 5e3 * (z**4).sum(axis=1), 2e4 * z**3
+
+    rng = np.random.default_rng(2)
+    start = rng.standard_normal((500, 3))
+    kept, shares = hamiltonian_moves(
+        Evaluated(start, *quartic(start)), quartic, rng, moves=300, leapfrogs=8, step=1.0
+    )
+    assert shares[0] < 0.1
+    assert shares[-20:].mean() > 0.3
+    line = np.linspace(-1.0, 1.0, 4001)
+    density = np.exp(-0.5 * line**2 - 5e3 * line**4)
+    expected = (line**2 * density).sum() / density.sum()
+    # 1500 draws, whose squares spread by about as much as their mean.
+    assert np.mean(kept.particles**2) == pytest.approx(expected, rel=0.15)
