@@ -40,15 +40,15 @@ def _run_here(script: str, *options: str) -> Result:
 
 def test_a_list_is_made_and_left_as_it_is(tmp_path: Path) -> None:
     options = ("--cells", "DrawS_easy", "--episodes", "2", "--seed", "40", "--out", str(tmp_path))
-    result = _run("make_benchmark.py", *options)
-    assert result.returncode == 0, result.stderr
+    result = _run_here("make_benchmark.py", *options)
+    assert result.exit_code == 0, result.output
     assert "DrawS_easy: witness: 1 drawn, 1 kept, 0 unknown; placed: " in result.stdout
     path = tmp_path / "standard" / "DrawS_easy.jsonl.gz"
     before = path.read_bytes()
     episodes = load_episodes(Cell("DrawS", "easy"), tmp_path)
     assert episodes[0].scene == Cell("DrawS", "easy").scene(40)
-    again = _run_here("make_benchmark.py", *options)
-    assert again.exit_code == 0, again.output
+    again = _run("make_benchmark.py", *options)
+    assert again.returncode == 0, again.stderr
     assert "DrawS_easy: is there" in again.stdout
     assert path.read_bytes() == before
 
@@ -71,12 +71,12 @@ def test_lists_that_cannot_be_made(tmp_path: Path, options: tuple[str, str], mes
 
 def test_speed_is_measured_in_several_processes() -> None:
     id = "smp_gym/Placement-v0"
-    result = _run_here("speed_env.py", "--ids", id, "--processes", "1,2", "--seconds", "0.2")
+    result = _run_here("speed_env.py", "--ids", id, "--processes", "2", "--seconds", "0.2")
     assert result.exit_code == 0, result.output
     rows = [
         re.findall(r"\d+", line.split(id)[1]) for line in result.stdout.splitlines() if id in line
     ]
-    assert [row[0] for row in rows] == ["1", "2"]
+    assert [row[0] for row in rows] == ["2"]
     assert all(int(rate) > 0 for row in rows for rate in row[1:])
     assert all(len(row) == 4 for row in rows)
 

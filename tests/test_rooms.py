@@ -238,11 +238,19 @@ def _torn_by_kills(tree: ast.AST, whole: bool = False) -> Iterator[str]:
         yield from _torn_by_kills(child, whole)
 
 
+def _in_memory(call: str, source: str) -> bool:
+    """Return whether a call writes to what its source makes a buffer of."""
+    written = re.search(r"\((\w+)", call)
+    return written is not None and f"{written[1]} = io.BytesIO()" in source
+
+
 def test_no_file_is_written_in_place() -> None:
     for path in [*FILES, *SCRIPTS]:
         # An attack damages copies in a folder that it removes.
         if path.name not in {"atomic_files.py", "attack.py", "compiling.py"}:
-            assert list(_torn_by_kills(ast.parse(path.read_text()))) == [], path
+            source = path.read_text()
+            torn = list(_torn_by_kills(ast.parse(source)))
+            assert [call for call in torn if not _in_memory(call, source)] == [], path
     for source in (
         "path.write_text('')",
         "open(path, 'w')",

@@ -164,15 +164,22 @@ def _policy(name: str, task: str) -> PlannerPolicy:
     return PlannerPolicy.make(method, task, settings=settings)
 
 
-def measure_cell(cell: PosteriorCell) -> list[Row]:
-    """Plan a scene with each method and return their rows; no energy where no draw is good."""
+def measure_cell(cell: PosteriorCell, smc: SMCSettings = _SMC) -> list[Row]:
+    """Plan a scene with each method and return their rows; no energy where no draw is good.
+
+    Args:
+        cell: scene and methods.
+        smc: how to draw from the posterior, see `posterior_draws`.
+    """
     torch.set_num_threads(1)
     observation, _ = environment(cell.task, cell.difficulty).reset(seed=cell.seed)
     planner: Any = _policy("smp", cell.task).planner
     problem = _policy("smp", cell.task).problem(observation)
     settings = planner.plan_settings
     reference, second = (
-        posterior_draws(planner.prior, problem, settings, np.random.default_rng([cell.seed, run]))
+        posterior_draws(
+            planner.prior, problem, settings, np.random.default_rng([cell.seed, run]), smc
+        )
         for run in (0, 1)
     )
     size = min(settings.particles, len(second))

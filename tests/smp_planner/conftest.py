@@ -7,19 +7,10 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import SphereSet, box_spheres, concatenate, finger_spheres
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
-from smp_planner.benchmark import worker_pool
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.problem import arm_problem
 from smp_planner.planning.tool_goals import GoalRegion
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _workers_begin_as_copies():
-    """Spare worker processes importing all anew, but where a test sets the library's own start."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(worker_pool, "START", "forkserver")
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -42,7 +42,7 @@ DESIRED = np.array([*LEFT, *RIGHT, 0.0, 1.0, 1.0, 1.0])
 ID = "smp_gym/DoubleSidedPlacement-v0"
 BLOCKED = ("easy", "medium", "hard")
 SEEDS = range(1, 5)
-"""Of scenes that are drawn in a second; the easy one of seed 0 takes ten."""
+"""Of scenes that are drawn in a second or two; the easy one of seed 0 takes many."""
 
 
 def goal(place, offset=(0.0, 0.0, 0.0), collided=0.0, released=1.0, at_rest=1.0, supported=1.0):

@@ -62,7 +62,8 @@ def test_where_nothing_is_in_the_way_the_posterior_is_the_conditioned_prior(plac
 
 
 def test_rows_hold_what_the_table_shows():
-    rows = measure_cell(PosteriorCell("Placement", "easy", 79_001, ("smp", "quick SVGD")))
+    cell = PosteriorCell("Placement", "easy", 79_001, ("smp", "quick SVGD"))
+    rows = measure_cell(cell, SMCSettings(300, moves=4, last_moves=20))
     assert [row["method"] for row in rows] == [FLOOR, "smp", "quick SVGD"]
     for row in rows:
         assert {column.name for column in COLUMNS} <= row.keys()
