@@ -176,7 +176,9 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
     import viser
 
     server = viser.ViserServer(host=host, port=port, verbose=False)
-    scene, nodes, controls = server.scene, {}, {}
+    nodes: dict[str, Any] = {}
+    controls: dict[str, Any] = {}
+    scene = server.scene
     scene.set_up_direction("+z")
     scene.add_grid("table", width=2.0, height=2.0, cell_size=0.1)
     for kind, bodies, color in (
@@ -223,7 +225,8 @@ def _add_lines(server: ViserServer, name: str, label: str, lines: Lines) -> tupl
         name,
         np.concatenate(pieces).astype(np.float32),
         colors=_rgb(lines.color),
-        line_width=lines.width,
+        thickness=lines.width,
+        thickness_units="screen",
     )
     box = server.gui.add_checkbox(label, initial_value=True)
 
