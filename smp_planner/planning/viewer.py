@@ -26,10 +26,11 @@ from smp_planner.planning.particle_groups import (
     OBSTACLE,
     particle_groups,
 )
-from smp_planner.planning.plan import Plan
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+    from smp_planner.planning.plan import Plan
 
 __all__ = ["Exhibit", "Lines", "Motion", "Page", "exhibit_of", "lines_of", "show"]
 

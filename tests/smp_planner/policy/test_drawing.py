@@ -225,7 +225,7 @@ def test_bends_between_checkpoints_and_obstacles_need_the_finer_basis(env):
 
 
 def test_a_retry_so_wide_that_it_misses_the_goal_ends_the_tries(env, demonstrations):
-    scene = sample_scene("DrawS", "easy", 1)
+    scene = sample_scene("DrawS", "easy", 3)
     x, y, z = scene.goals[0].position
     wall = Obstacle(shape="box", position=(x, y, z + 0.1), size=(0.06, 0.06, 0.1))
     observation, _ = env.reset(options={"scene": scene.model_copy(update={"obstacles": (wall,)})})
