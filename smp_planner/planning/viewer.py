@@ -208,15 +208,17 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
 
 
 def _look_at(server: ViserServer, paths: Sequence[FloatArray]) -> None:
-    """Let pages open with a view of paths from the front right, above."""
+    """Let pages open with a view of paths from the front, above."""
     points = np.concatenate([np.reshape(path, (-1, 3)) for path in paths] or [np.zeros((1, 3))])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     extent = max(float(np.ptp(points, axis=0).max()), 0.5)
 
     @server.on_client_connect
     def _(client: Any) -> None:
+        # To set the position takes the point that is looked at along.
+        client.camera.position = tuple(middle + extent * np.array([1.2, 0.7, 0.7]))
+        client.camera.up_direction = (0.0, 0.0, 1.0)
         client.camera.look_at = tuple(middle)
-        client.camera.position = tuple(middle + extent * np.array([1.3, -0.7, 0.7]))
 
 
 def _add_lines(server: ViserServer, name: str, label: str, lines: Lines) -> tuple[Any, Any]:
