@@ -1,4 +1,4 @@
-"""What the extras of the package bring, and the one error where a part of it is not installed."""
+"""Optional packages: the modules that each extra installs, and the error where one is missing."""
 
 from __future__ import annotations
 

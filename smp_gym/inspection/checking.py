@@ -85,7 +85,6 @@ def make(id: str, **arguments: Any) -> ManipulationEnv:
 def check_interfaces(id: str, difficulty: str = "medium") -> None:
     """Let Gymnasium and stable-baselines3 check an environment; a warning is an error."""
     require("rl", "the check by stable-baselines3")
-    require("rl", "the check by stable-baselines3")
     from stable_baselines3.common.env_checker import check_env as stable_baselines3_check_env
 
     env = make(id, difficulty=difficulty)

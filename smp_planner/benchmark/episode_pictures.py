@@ -267,12 +267,11 @@ def scene_figure(played: PlayedEpisode, path: Path) -> None:
         frameon=False,
         fontsize=9.5,
     )
-    outcome = "success" if row.success else f"failed: {row.cause}"
     figure.text(0.02, 0.94, f"{row.key.cell.name}, {row.method}", fontsize=15, weight="bold")
     figure.text(
         0.02,
         0.905,
-        f"{row.half} seed {row.seed}: {outcome}".lstrip(),
+        f"{row.half} seed {row.seed}: {row.outcome}".lstrip(),
         fontsize=10,
         color=_DEMONSTRATION,
     )

@@ -175,6 +175,11 @@ class EpisodeRow:
     scene: str = compressed()
 
     @property
+    def outcome(self) -> str:
+        """Success, or the failure with its cause, for titles."""
+        return "success" if self.success else f"failed: {self.cause}"
+
+    @property
     def key(self) -> EpisodeKey:
         """Identifier of the episode."""
         return EpisodeKey(

@@ -29,7 +29,7 @@ __all__ = ["exhibit_of_episode", "watch"]
 
 
 def exhibit_of_episode(player: PlayMethods, key: EpisodeKey) -> Exhibit:
-    """Play an episode and return what a page shows of it.
+    """Play an episode and return the content of a page for it.
 
     Lines are paths of the grasped object's centre, or of the pen's tip. The arm follows the
     executed trajectory, or the one that was planned.
@@ -63,8 +63,7 @@ def exhibit_of_episode(player: PlayMethods, key: EpisodeKey) -> Exhibit:
         return Motion(kinematics.sphere_centers(configurations, spheres), spheres.radius)
 
     point = carried_point(scene)
-    outcome = "success" if row.success else f"failed: {row.cause}"
-    title = f"**{key.cell.name}**, {key.method}, {key.half} seed {key.seed}: {outcome}."
+    title = f"**{key.cell.name}**, {key.method}, {key.half} seed {key.seed}: {row.outcome}."
     motions = {"executed": motion(recorder.values)}
     lines = {"executed": Lines([object_paths(recorder.values, point)], CHOSEN, 5.0)}
     if plan is not None:

@@ -69,7 +69,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Exhibit:
-    """What a page shows.
+    """The content of a page: bodies and paths in space, and trajectories of a robot.
 
     Attributes:
         title: Markdown, above the controls.
@@ -131,7 +131,7 @@ def lines_of(
 
 
 def exhibit_of(plan: Plan) -> Exhibit:
-    """Return what a page shows of a plan for the user's own paths in space or robot.
+    """Return the content of a page for a plan of the user's own paths in space or robot.
 
     Args:
         plan: of `smp_planner.SMP`.
@@ -166,7 +166,7 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
     """Serve a page until it is closed, or the process ends.
 
     Args:
-        exhibit: what it shows.
+        exhibit: its content.
         host: address that is listened on; "0.0.0.0" lets other machines see the page.
         port: if it is taken, the next free one is; the page's `address` says which.
 
