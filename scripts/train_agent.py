@@ -58,8 +58,8 @@ def main(
     except (OSError, ValueError) as error:
         raise typer.BadParameter(str(error)) from None
     console = Console(highlight=False)
-    if training.model.num_timesteps:
-        console.print(f"going on from step {training.model.num_timesteps}")
+    if training.steps:
+        console.print(f"going on from step {training.steps}")
     try:
         with progress_bar("success", steps, console) as (bar, row):
 
@@ -67,17 +67,19 @@ def main(
                 bar.update(row, completed=done, description=f"success {rate:4.0%}")
 
             training.run(steps, every=every, episodes=episodes, progress=progress)
-        result = training.finish(final_episodes)
+        final, best = training.finish(final_episodes)
     except Interrupted:
         console.print("interrupted; the same command goes on from the last checkpoint")
         raise
     finally:
         training.close()
-    console.print(
-        f"{name}, {difficulty}: {result.successes} of {result.episodes} evaluation episodes, "
-        f"{result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after {result.steps} steps; "
-        f"see {folder}"
-    )
+    for which, result in (("at the end", final), ("best", best)):
+        console.print(
+            f"{name}, {difficulty}, {which}: {result.successes} of {result.episodes} evaluation "
+            f"episodes, {result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after "
+            f"{result.steps} steps"
+        )
+    console.print(f"see {folder}")
 
 
 if __name__ == "__main__":

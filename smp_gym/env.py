@@ -44,13 +44,24 @@ from smp_gym.sensing.depth_camera import DepthSensor
 from smp_gym.sensing.sensors import ExactSensor, NoisySensor, Sensor, check_sensing
 from smp_gym.tasks.registry import make_task, task_families
 
-__all__ = ["FAILURE_REWARD", "SHAPING_DISCOUNT", "SUCCESS_REWARD", "ManipulationEnv"]
+__all__ = [
+    "FAILURE_REWARD",
+    "SHAPING_DISCOUNT",
+    "SUBGOAL_REWARD",
+    "SUCCESS_REWARD",
+    "ManipulationEnv",
+]
 
 SUCCESS_REWARD = 10.0
 FAILURE_REWARD = -10.0
 """Rewards of the step that ends the episode: with success, or by a collision or the loss of the
 object. All other steps have none. So whatever the length of an episode and whatever the discount,
 success is worth more than running out of time, and that more than failing."""
+
+SUBGOAL_REWARD = 0.5
+"""Reward, in `compute_reward` only, of a goal that demands less than an episode's: the object at a
+place, but in the hand. Such goals come from hindsight, which lets the episode go on where one
+is reached: to stay there for good is worth 10 at a discount of 0.95, as much as a success."""
 
 SHAPING_DISCOUNT = 0.99
 """Discount in the dense reward's difference of potentials. Shaping leaves the best policy what it
@@ -299,6 +310,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     ) -> AnyFloatArray:
         """Return the rewards (...) of goals (..., G) of which it is known what came of them."""
         rewards = np.where(failed, FAILURE_REWARD, np.where(success, SUCCESS_REWARD, 0.0))
+        if np.any(success):
+            partial = np.logical_and(success, ~self.task.demands_all(desired))
+            rewards = np.where(partial, SUBGOAL_REWARD, rewards)
         if self.reward == "dense":
             achieved, desired = np.asarray(achieved, np.float64), np.asarray(desired, np.float64)
             before = self.task.potential(_previous_goals(info, achieved.shape), desired)

@@ -31,6 +31,7 @@ __all__ = [
     "GRIPPER_RATE",
     "LONGEST_LIMIT",
     "MAX_EPISODE_STEPS",
+    "MAX_SUPPORTS",
     "OBSTACLE_LAYOUT",
     "SENSINGS",
     "STATE_LAYOUT",
@@ -47,6 +48,7 @@ __all__ = [
     "observation_space",
     "space_of",
     "state_field",
+    "state_places",
 ]
 
 CONTROL_PERIOD = 0.05
@@ -78,6 +80,9 @@ GRIPPER_RATE = 1.0
 """Change per second of the gripper reference (0 open, 1 closed) at gripper action 1."""
 
 
+MAX_SUPPORTS = 2
+"""Bodies at most on which the object may be set down."""
+
 STATE_LAYOUT = (
     Field("configuration", 6, -7.0, 7.0),
     Field("reference", 6, -7.0, 7.0),
@@ -92,6 +97,7 @@ STATE_LAYOUT = (
     Field("object_linear_velocity", 3, -20.0, 20.0),
     Field("object_angular_velocity", 3, -200.0, 200.0),
     Field("object_size", 3, 0.0, 1.0),
+    Field("supports", 3 * MAX_SUPPORTS, -2.0, 2.0),
     Field("elapsed", 1, 0.0, 1.0),
     Field("limit", 1, 0.0, LONGEST_LIMIT / MAX_EPISODE_STEPS),
     Field("control", 1, 0.0, float(len(CONTROLS) - 1)),
@@ -101,7 +107,9 @@ episode's limit of steps, ``limit`` that limit in units of `MAX_EPISODE_STEPS`, 
 index of the control mode in `CONTROLS`.
 
 In tasks without an object, the object's entries are those of the pen's tip, its size the pen's
-radius."""
+radius. ``supports`` are the bodies on which the object may be set down, as `Task.supports` tells
+them, zero where there are none: they stay where they are when hindsight replaces the desired goal,
+which tells of the same places."""
 
 OBSTACLE_LAYOUT = (
     Field("present", 1, 0.0, 1.0),
@@ -231,13 +239,22 @@ class _Join:
         return joined.astype(np.float32)
 
 
+def state_places(name: str) -> slice:
+    """Return the entries of ``observation`` that hold a field of `STATE_LAYOUT`.
+
+    Raises:
+        KeyError: no such field.
+    """
+    return _places(STATE_LAYOUT)[name]
+
+
 def state_field(observation: Mapping[str, Any], name: str) -> FloatArray:
     """Return one field of `STATE_LAYOUT` of an observation (dict), unchecked, as float64.
 
     Raises:
         KeyError: no such field.
     """
-    return np.asarray(observation["observation"][_places(STATE_LAYOUT)[name]], np.float64)
+    return np.asarray(observation["observation"][state_places(name)], np.float64)
 
 
 def observation_space(task: str, sensing: Sensing = "exact") -> spaces.Dict:
@@ -289,6 +306,14 @@ def encode_desired_goal(scene: Scene) -> NDArray[np.float32]:
     """Return ``desired_goal`` (G,) of a scene, laid out as the task says."""
     codec = make_task(scene.task).goals
     return _Join(codec.layout)(codec.encode(scene))
+
+
+def _places_of_supports(scene: Scene) -> FloatArray:
+    """Return ``supports`` (6,) of a scene, m."""
+    places = np.zeros((MAX_SUPPORTS, 3))
+    found = make_task(scene.task).supports(scene)
+    places[: len(found)] = np.reshape(found, (-1, 3))
+    return places.ravel()
 
 
 # Looked up here once: to hash a layout takes longer than to fill its rows.
@@ -375,6 +400,7 @@ class Encoder:
         self._state = _Join(STATE_LAYOUT)
         self._goal = _Join(make_task(scene.task).goals.layout)
         self._desired_goal = encode_desired_goal(scene)
+        self._supports = _places_of_supports(scene)
         self.show(scene.obstacles)
 
     def show(self, perceived: tuple[Obstacle, ...] | FloatArray) -> None:
@@ -410,6 +436,7 @@ class Encoder:
         state = {
             **vars(robot),
             **{f"object_{name}": value for name, value in vars(manipulated).items()},
+            "supports": self._supports,
             "elapsed": elapsed_steps / self._limit,
             "limit": self._limit / MAX_EPISODE_STEPS,
             "control": self._control,
@@ -566,6 +593,8 @@ def decode(observation: Any, task: str) -> DecodedObservation:
     )
     if np.abs(encode_desired_goal(scene) - vectors["desired_goal"]).max() > _ROUNDING:
         raise _abnormal("desired_goal", f"demand what {task} demands")
+    if np.abs(_places_of_supports(scene) - state["supports"]).max() > _ROUNDING:
+        raise _abnormal("observation", "have its supports where the desired goal has them")
     robot = RobotState(
         configuration=state["configuration"],
         reference=state["reference"],

@@ -35,6 +35,10 @@ class CommonRules:
             raise ValueError(f"scene.task must be {self.name!r}, got {scene.task!r}")
         _check_playable(scene)
 
+    def supports(self, scene: Scene) -> tuple[tuple[float, float, float], ...]:
+        """Return nothing: the object is not set down on anything but the table."""
+        return ()
+
     def failure(self, status: Status) -> str:
         """Return nothing: as long as there is time, the episode can succeed."""
         return ""
@@ -46,6 +50,10 @@ class CommonRules:
     def lost(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> BoolArray:
         """Return False for all goals (..., G): no episode is over without success."""
         return np.zeros(np.broadcast(achieved, desired).shape[:-1], np.bool_)
+
+    def demands_all(self, desired: AnyFloatArray) -> BoolArray:
+        """Return True for all goals (..., G): whoever reaches one has done the task for it."""
+        return np.ones(np.shape(desired)[:-1], np.bool_)
 
     def details(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> dict[str, Any]:
         """Return nothing: goals hold no more than success."""

@@ -84,6 +84,13 @@ class Task(Protocol):
         """Raise ValueError if an episode of this task cannot be played in the scene."""
         ...
 
+    def supports(self, scene: Scene) -> tuple[tuple[float, float, float], ...]:
+        """Return the places (`Goal.position`, m) of the bodies that the object may be set down on.
+
+        There are at most `smp_gym.observation.MAX_SUPPORTS`.
+        """
+        ...
+
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch, names in alphabetical order.
 
@@ -117,6 +124,13 @@ class Task(Protocol):
         It may depend on the desired goal for the verdict only, not for the moment: an episode that
         ends here with one desired goal must end with any, as success or as failure. So hindsight
         relabelling, which keeps the ends of episodes, stays exact.
+        """
+        ...
+
+    def demands_all(self, desired: AnyFloatArray) -> BoolArray:
+        """Return whether desired goals (..., G) demand all that those of an episode do, (...).
+
+        Hindsight replaces them by achieved ones, some of which are subgoals: there is more to do.
         """
         ...
 

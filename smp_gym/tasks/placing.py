@@ -66,6 +66,10 @@ class PlacingTask(CommonRules, ABC):
         if kinds:
             raise ValueError(f"scene.goals must be of kind {self.support!r}, got {kinds[0]!r}")
 
+    def supports(self, scene: Scene) -> tuple[tuple[float, float, float], ...]:
+        """Return the places of the bin or the pads."""
+        return tuple(goal.position for goal in scene.goals)
+
     def permitted_contacts(self, held: bool) -> frozenset[tuple[str, str]]:
         """Return the pairs of groups that may touch; see `Task.permitted_contacts`."""
         if held:
@@ -93,6 +97,10 @@ class PlacingTask(CommonRules, ABC):
         if not placed.any():
             return np.asarray(placed)
         return np.asarray(placed & ~self.success(achieved, desired))
+
+    def demands_all(self, desired: AnyFloatArray) -> BoolArray:
+        """Return whether goals (..., G) demand that the object be let go, (...)."""
+        return np.asarray(desired[..., self._flag("released")] > 0.5)
 
     def _flags(self, status: Status) -> dict[str, float]:
         """Return the flags of the achieved goal by field name."""

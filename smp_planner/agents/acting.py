@@ -2,7 +2,8 @@
 
 All of them have the interface of stable-baselines3's agents, `smp_gym.rollout.Policy`. What an
 agent sees of an observation is decided by its own observation space, which its file holds: the
-entries of a `Dict` by their keys, or all of it as one flat vector.
+entries of a `Dict` by their keys, or all of it as one flat vector. How long a decision lasts, its
+file says, too; see `smp_planner.agents.decisions`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from smp_gym.observation import Sensing, observation_space
 from smp_gym.rollout import Policy
 from smp_gym.untrusted_files import read_file, read_members
+from smp_planner.agents.decisions import acting
 
 __all__ = ["RandomActions", "ViewingAgent", "load_zip"]
 
@@ -189,4 +191,7 @@ def load_zip(path: Path, name: str) -> ViewingAgent:
     actions = agent.action_space
     if not isinstance(actions, spaces.Box) or actions != _ACTIONS:
         raise ValueError(f"agent {name!r} must act in {_ACTIONS}, got {actions}")
-    return ViewingAgent(agent, agent.observation_space, name)
+    try:
+        return ViewingAgent(acting(agent), agent.observation_space, name)
+    except ValueError as error:
+        raise ValueError(f"agent {name!r}: {error}") from None

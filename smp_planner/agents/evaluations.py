@@ -19,6 +19,7 @@ from stable_baselines3 import SAC
 
 from smp_gym.atomic_files import replacing
 from smp_gym.rollout import rollout
+from smp_planner.agents.decisions import ACTION_REPEAT, acting
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.benchmark.statistics import rate_interval
 
@@ -60,19 +61,21 @@ def evaluate(model: SAC, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluati
     """Play the episodes of some seeds.
 
     Args:
-        model: acts deterministically.
-        env: the last `info` of its episodes says `is_success` and `collided`.
+        model: acts deterministically; a decision lasts as long as its `ACTION_REPEAT` says.
+        env: in which an action lasts one step; the last `info` of its episodes says `is_success`
+            and `collided`.
         seeds: one for each episode, at least one.
     """
     successes = collisions = steps = 0
+    policy = acting(model)
     for seed in seeds:
-        played = rollout(env, model, seed=seed)
+        played = rollout(env, policy, seed=seed)
         steps += played.steps
         successes += played.success
         collisions += played.info["collided"]
     rate = rate_interval(successes, len(seeds))
     return Evaluation(
-        steps=model.num_timesteps,
+        steps=model.num_timesteps * getattr(model, ACTION_REPEAT, 1),
         episodes=len(seeds),
         successes=successes,
         rate=rate["value"],

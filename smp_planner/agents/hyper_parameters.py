@@ -12,6 +12,8 @@ from smp_gym.scene import TASKS
 
 __all__ = ["HyperParameters"]
 
+_GOAL_CONDITIONED = ("observation", "achieved_goal", "desired_goal")
+
 
 @dataclass(frozen=True)
 class HyperParameters:
@@ -21,12 +23,20 @@ class HyperParameters:
         environments: stepped in turn, in this process.
         observations: entries of the observation that the agent sees; None for all. Where there are
             no obstacles, leaving out their rows of zeros makes learning faster.
+        hidden: fields of the desired goal that its networks do not see, see
+            `smp_planner.agents.goal_features.GoalFeatures`.
+        action_repeat: environment steps that a decision lasts.
+        gripper_openings: exploration by opening the hand, arguments ``probability`` and
+            ``decisions`` of `smp_planner.agents.decisions.GripperOpenings`; None for none.
         sac: arguments of `stable_baselines3.SAC`.
         her: arguments of `stable_baselines3.HerReplayBuffer`; None for none.
     """
 
     environments: int
     observations: list[str] | None
+    hidden: list[str]
+    action_repeat: int
+    gripper_openings: dict[str, Any] | None
     sac: dict[str, Any]
     her: dict[str, Any] | None
 
@@ -54,18 +64,35 @@ class HyperParameters:
             raise ValueError(
                 f"environments in {path} must be at least 1, got {settings.environments!r}"
             )
+        if not (isinstance(settings.action_repeat, int) and settings.action_repeat >= 1):
+            raise ValueError(
+                f"action_repeat in {path} must be at least 1, got {settings.action_repeat!r}"
+            )
+        openings = settings.gripper_openings
+        if openings is not None and not (
+            isinstance(openings, dict)
+            and set(openings) == {"probability", "decisions"}
+            and all(isinstance(value, (int, float)) for value in openings.values())
+            and 0.0 < openings["probability"] <= 1.0
+            and openings["decisions"] >= 1
+        ):
+            raise ValueError(
+                f"gripper_openings in {path} must be null or have a probability above 0, at most "
+                f"1, and a number of decisions of at least 1; got {openings!r}"
+            )
         known = list(observation_space(TASKS[0]))
         if settings.observations is not None and not (
             isinstance(settings.observations, list)
-            and settings.observations
-            and set(settings.observations) <= set(known)
+            and set(_GOAL_CONDITIONED) <= set(settings.observations) <= set(known)
         ):
             raise ValueError(
-                f"observations in {path} must be null or of {', '.join(known)}; "
+                f"observations in {path} must be null or of {', '.join(known)}, with "
+                f"{', '.join(_GOAL_CONDITIONED)} among them; "
                 f"got {settings.observations!r}"
             )
         if settings.her is not None:
-            needed = settings.environments * MAX_EPISODE_STEPS
+            decisions = -(-MAX_EPISODE_STEPS // settings.action_repeat)
+            needed = settings.environments * decisions
             if settings.sac.get("learning_starts", 0) < needed:
                 raise ValueError(
                     f"sac.learning_starts in {path} must be at least {needed}, for HER samples "

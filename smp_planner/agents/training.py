@@ -5,8 +5,10 @@ The folder that a training writes holds
 - ``run.json``: task, difficulty, seed and hyper-parameters;
 - ``evaluations.csv``: success on the same tuning episodes again and again, with Wilson intervals;
 - ``learning_curve.png``: that as a figure;
-- ``agent.zip``: the agent that did best on the tuning episodes, for `SAC.load`;
-- ``result.json``: how it does on episodes that neither training nor the choice of it has seen;
+- ``agent.zip``: the agent that did best on the tuning episodes, for `SAC.load`, or as a method of
+  the benchmark; its attribute ``action_repeat`` says how many environment steps a decision lasts;
+- ``final.zip``: the agent at the end;
+- ``result.json``: how both do on episodes that neither training nor the choice has seen;
 - ``checkpoint-1/`` and so on: what it takes to go on after an interruption, or with more steps;
   large, the newest alone is kept. stable-baselines3 pickles: go on only in folders of your own.
 
@@ -44,6 +46,7 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 import smp_gym  # noqa: F401  (registers the environments)
@@ -52,6 +55,7 @@ from smp_gym.env import ManipulationEnv
 from smp_gym.folder_lock import FolderLock
 from smp_gym.registration import environment_id
 from smp_gym.scene import EVALUATION_SEEDS_START
+from smp_planner.agents.decisions import ACTION_REPEAT, ActionRepeat
 from smp_planner.agents.evaluations import (
     Evaluation,
     draw_curve,
@@ -59,6 +63,8 @@ from smp_planner.agents.evaluations import (
     read_evaluations,
     write_evaluations,
 )
+from smp_planner.agents.exploration import GripperOpenings
+from smp_planner.agents.goal_features import GoalFeatures
 from smp_planner.agents.hyper_parameters import HyperParameters
 
 __all__ = ["Training", "load_checkpoint", "make_model", "save_checkpoint"]
@@ -68,28 +74,43 @@ _LOGGER = logging.getLogger(__name__)
 _CHECKPOINT = "checkpoint"
 _MODEL, _REPLAY_BUFFER = "model.zip", "replay_buffer.pkl"
 _MOMENT = "moment_of_checkpoint"
-_REPLAY_ARGUMENTS = ["replay_buffer_class", "replay_buffer_kwargs"]
+_UNNEEDED = ["replay_buffer_class", "replay_buffer_kwargs", "action_noise"]
 
 
-def make_model(env: VecEnv, settings: HyperParameters, seed: int) -> SAC:
+def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> SAC:
     """Return an untrained agent.
 
     Args:
-        env: to train in.
+        env: to train in; its actions last as long as the settings say.
+        task: of the environment.
         settings: its hyper-parameters.
         seed: of weights and exploration.
 
     Raises:
-        ValueError: SAC has no argument of such a name.
+        ValueError: SAC has no argument of such a name, or the goals no such field.
     """
-    arguments: dict[str, Any] = dict(settings.sac)
+    policy = {
+        "features_extractor_class": GoalFeatures,
+        "features_extractor_kwargs": {"task": task, "hidden": settings.hidden},
+        **settings.sac.get("policy_kwargs", {}),
+    }
+    arguments: dict[str, Any] = {**settings.sac, "policy_kwargs": policy}
+    if settings.gripper_openings is not None:
+        openings = GripperOpenings(seed=seed, **settings.gripper_openings)
+        if settings.environments > 1:
+            arguments["action_noise"] = VectorizedActionNoise(openings, settings.environments)
+        else:
+            arguments["action_noise"] = openings
     if settings.her is not None:
         arguments["replay_buffer_class"] = HerReplayBuffer
         arguments["replay_buffer_kwargs"] = settings.her
     try:
-        return SAC("MultiInputPolicy", env, seed=seed, device="cpu", **arguments)
+        model = SAC("MultiInputPolicy", env, seed=seed, device="cpu", **arguments)
     except TypeError as error:
         raise ValueError(f"the hyper-parameters do not fit: {error}") from None
+    # What stable-baselines3 saves of an agent are its attributes.
+    setattr(model, ACTION_REPEAT, settings.action_repeat)
+    return model
 
 
 def save_checkpoint(model: SAC, folder: Path) -> None:
@@ -100,7 +121,6 @@ def save_checkpoint(model: SAC, folder: Path) -> None:
         folder: of the training.
     """
     older = _checkpoints(folder)
-    # What stable-baselines3 saves of an agent are its attributes.
     setattr(model, _MOMENT, _moment(model))
     try:
         with replacing(folder / f"{_CHECKPOINT}-{max(older, default=0) + 1}") as new:
@@ -277,15 +297,16 @@ class Training:
         begun = folder / "run.json"
         if begun.exists() and begun.read_text() != _text(description):
             raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
-        view = partial(_only, observations=settings.observations)
-        self._test_env = view(gymnasium.make(self._id, difficulty=difficulty))
+        self._repeat = settings.action_repeat
+        seen = partial(_seen, observations=settings.observations)
+        self._test_env = seen(gymnasium.make(self._id, difficulty=difficulty), 1)
         env = make_vec_env(
             self._id,
             n_envs=settings.environments,
             env_kwargs={"difficulty": difficulty},
-            wrapper_class=view,
+            wrapper_class=partial(seen, action_repeat=settings.action_repeat),
         )
-        self.model = load_checkpoint(folder, env) or make_model(env, settings, seed)
+        self.model = load_checkpoint(folder, env) or make_model(env, task, settings, seed)
         # Only now are the settings known to be good: those that are refused claim no folder.
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = lock or FolderLock(folder)
@@ -293,8 +314,13 @@ class Training:
         self.evaluations = [
             evaluation
             for evaluation in read_evaluations(folder / "evaluations.csv")
-            if evaluation.steps <= self.model.num_timesteps
+            if evaluation.steps <= self.steps
         ]
+
+    @property
+    def steps(self) -> int:
+        """Environment steps so far, as many for each decision as it lasts at most."""
+        return int(self.model.num_timesteps) * self._repeat
 
     def run(
         self, steps: int, *, every: int, episodes: int, progress: Callable[[int, float], None]
@@ -312,40 +338,49 @@ class Training:
             evaluation = evaluate(model, self._test_env, range(episodes))
             self.evaluations.append(evaluation)
             if evaluation.rate >= max(e.rate for e in self.evaluations):
-                # An agent that only acts needs no replay buffer, nor an environment to load it.
+                # An agent that only acts needs neither noise nor replay buffer, which to load takes
+                # an environment.
                 with replacing(self._folder / "agent.zip") as aside:
-                    model.save(aside, exclude=_REPLAY_ARGUMENTS)
+                    model.save(aside, exclude=_UNNEEDED)
             write_evaluations(self._folder / "evaluations.csv", self.evaluations)
             draw_curve(self._folder / "learning_curve.png", self.evaluations, self._title)
             save_checkpoint(model, self._folder)
 
-        def report(done: int) -> None:
-            progress(done, self.evaluations[-1].rate if self.evaluations else 0.0)
+        def report(decisions: int) -> None:
+            progress(
+                decisions * self._repeat, self.evaluations[-1].rate if self.evaluations else 0.0
+            )
 
-        remaining = steps - self.model.num_timesteps
+        remaining = -(-(steps - self.steps) // self._repeat)
         if remaining > 0:
-            callback = _Periodically(every, measure, report)
+            callback = _Periodically(-(-every // self._repeat), measure, report)
             self.model.learn(remaining, callback=callback, reset_num_timesteps=False)
-            if self.evaluations[-1:] and self.evaluations[-1].steps == self.model.num_timesteps:
-                return
-            measure(self.model)
+            if not (self.evaluations and self.evaluations[-1].steps == self.steps):
+                measure(self.model)
 
     def close(self) -> None:
         """Let others train in the folder."""
         self._lock.close()
 
-    def finish(self, episodes: int) -> Evaluation:
-        """Measure the best agent on evaluation seeds."""
-        model = SAC.load(self._folder / "agent.zip", device="cpu")
+    def finish(self, episodes: int) -> tuple[Evaluation, Evaluation]:
+        """Measure the agent at the end and the best one on evaluation seeds, and return how."""
+        with replacing(self._folder / "final.zip") as aside:
+            self.model.save(aside, exclude=_UNNEEDED)
+        best_model = SAC.load(self._folder / "agent.zip", device="cpu")
         seeds = range(EVALUATION_SEEDS_START, EVALUATION_SEEDS_START + episodes)
-        result = evaluate(model, self._test_env, seeds)
-        write_text(self._folder / "result.json", _text(asdict(result)))
-        return result
+        final, best = (evaluate(model, self._test_env, seeds) for model in (self.model, best_model))
+        scores = {"final": asdict(final), "best": asdict(best)}
+        write_text(self._folder / "result.json", _text(scores))
+        return final, best
 
 
 def _text(content: dict[str, Any]) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
-def _only(env: gymnasium.Env[Any, Any], observations: list[str] | None) -> gymnasium.Env[Any, Any]:
+def _seen(
+    env: gymnasium.Env[Any, Any], action_repeat: int, observations: list[str] | None
+) -> gymnasium.Env[Any, Any]:
+    """Return an environment as an agent sees it."""
+    env = ActionRepeat(env, action_repeat) if action_repeat > 1 else env
     return FilterObservation(env, observations) if observations else env

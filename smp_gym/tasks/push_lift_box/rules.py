@@ -179,6 +179,10 @@ class PushLiftBox(CommonRules):
         held = achieved[..., _HELD] >= desired[..., _HELD]
         return np.asarray(near & held & ~self.collided(achieved))
 
+    def demands_all(self, desired: AnyFloatArray) -> BoolArray:
+        """Return whether goals (..., 5) demand that the box be held, (...)."""
+        return np.asarray(desired[..., _HELD] > 0.5)
+
     def potential(self, achieved: AnyFloatArray, desired: AnyFloatArray) -> AnyFloatArray:
         """Return minus the box's distance from its target, (...), 2 per metre."""
         offset = achieved[..., _POSITION] - desired[..., _POSITION]
