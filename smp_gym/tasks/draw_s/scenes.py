@@ -58,8 +58,8 @@ _BASE_DISTANCE = 0.35
 _START_CLEARANCE = 0.05
 """m, least distance of obstacles to the axis of the base, and to the robot at the start."""
 
-_BUMPS = 3
-"""Bumps of a witness."""
+_BUMPS = {"easy": 3, "medium": 4, "hard": 4}
+"""Bumps of a witness, by difficulty: how often a trajectory has to leave the stroke."""
 
 _COMPARED_SAMPLES = 32
 _COMPARED_TRAJECTORIES = 64
@@ -290,7 +290,7 @@ def _draw(difficulty: str, rng: np.random.Generator) -> Draw | None:
         if not is_witness(body, stroke.trajectory, bodies, none, 0.0):
             return None
         return _drawn(stroke, np.ones(len(stroke.checkpoints), np.bool_), none, stroke.trajectory)
-    bumps = _BUMPS
+    bumps = _BUMPS[difficulty]
     grid = None
     for _ in range(_MAX_WITNESSES):
         found = _draw_bumpy(body, stroke, bumps, specification.clearance + _SLACK, rng)
@@ -334,7 +334,7 @@ def _drawn(
 
 def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     """Draw a stroke and obstacles that block most; None if too few of them do."""
-    body, bumps, stroke = drawing_body(), _BUMPS, sample_stroke(rng)
+    body, bumps, stroke = drawing_body(), _BUMPS[difficulty], sample_stroke(rng)
     if stroke is None:
         return None
     centers = sample_centers(1, bumps, rng)[0]
