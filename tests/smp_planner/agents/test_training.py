@@ -18,11 +18,12 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 from typer.testing import CliRunner, Result
 
+import smp_gym
 from smp_gym.assets import asset_path
-from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
+from smp_gym.env import FAILURE_REWARD, SUBGOAL_REWARD, SUCCESS_REWARD
 from smp_gym.folder_lock import FolderLock
 from smp_gym.observation import MAX_EPISODE_STEPS
-from smp_gym.scene import TASKS
+from smp_planner.agents.decisions import ACTION_REPEAT
 from smp_planner.agents.evaluations import evaluate, read_evaluations
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.training import load_checkpoint, make_model, save_checkpoint
@@ -32,6 +33,9 @@ ID = "smp_gym/Placement-v0"
 TINY: dict[str, Any] = {
     "environments": 1,
     "observations": ["observation", "achieved_goal", "desired_goal"],
+    "hidden": ["released"],
+    "action_repeat": 1,
+    "gripper_openings": {"probability": 0.1, "decisions": 3},
     "sac": {
         "learning_starts": MAX_EPISODE_STEPS,
         "batch_size": 32,
@@ -86,11 +90,11 @@ def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
     assert model._n_updates == 500 - MAX_EPISODE_STEPS
     assert model.replay_buffer.size() == 500
     settings = HyperParameters(**TINY)
-    untrained = make_model(env, settings, seed=0).get_parameters()["policy"]
+    untrained = make_model(env, "Placement", settings, seed=0).get_parameters()["policy"]
     change = [
         float((model.get_parameters()["policy"][name] - value).abs().max())
         for name, value in untrained.items()
-        if name.startswith("actor.")
+        if name.startswith("actor.") and not name.endswith("_shown")
     ]
     assert min(change) > 0.0
     env.close()
@@ -154,7 +158,9 @@ def test_the_agent_acts_without_environment_or_replay_buffer(trained: Path) -> N
 
 def test_result_and_figure_are_written(trained: Path) -> None:
     result = json.loads((trained / "out" / "result.json").read_text())
-    assert result["episodes"] == 1
+    assert {name: entry["episodes"] for name, entry in result.items()} == {"final": 1, "best": 1}
+    final = SAC.load(trained / "out" / "final.zip", device="cpu")
+    assert final.num_timesteps == result["final"]["steps"] == 500
     assert (trained / "out" / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -182,9 +188,12 @@ def test_hindsight_rewards_are_those_of_the_environment() -> None:
     success = near & flags & ~collided & (supported | ~released)
     lost = released & at_rest & ~success
     rewards = batch.rewards.numpy()[:, 0]
+    partial = success & (desired[:, 4] < 0.5)
+    assert partial.any()
+    assert (rewards[partial] == SUBGOAL_REWARD).all()
+    assert (rewards[success & ~partial] == SUCCESS_REWARD).all()
     for outcome in (success, collided, lost, ~success & ~collided & ~lost):
         assert outcome.any()
-    assert (rewards[success] == SUCCESS_REWARD).all()
     assert (rewards[collided | lost] == FAILURE_REWARD).all()
     assert (rewards[~success & ~collided & ~lost] == 0.0).all()
     env.close()
@@ -220,14 +229,16 @@ def test_evaluation_counts() -> None:
 
 
 def test_the_shipped_hyper_parameters_are_accepted() -> None:
-    env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
-    files = [path for task in TASKS for path in asset_path("agents").glob(f"{task}*.json")]
-    assert files
-    for path in files:
+    for entry in smp_gym.ENVIRONMENTS:
+        dense = entry.reward == "dense"
+        path = asset_path("agents", f"{entry.task}{'Dense' if dense else ''}.json")
         settings = HyperParameters.from_json(path)
         small = replace(settings, sac={**settings.sac, "buffer_size": 1000})
-        assert isinstance(make_model(env, small, seed=0), SAC)
-    env.close()
+        env = make_vec_env(entry.id, env_kwargs={"difficulty": "none"})
+        model = make_model(env, entry.task, small, seed=0)
+        model.learn(3)
+        assert vars(model)[ACTION_REPEAT] == settings.action_repeat
+        env.close()
 
 
 @pytest.mark.parametrize(
@@ -251,12 +262,22 @@ def test_bad_arguments_are_named(tmp_path: Path, arguments: tuple[str, ...], nam
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ([], "environments, observations, sac, her"),
-        ({"environments": 1, "sac": {}}, "environments, observations, sac, her"),
+        ([], "environments, observations, hidden"),
+        ({"environments": 1, "sac": {}}, "environments, observations, hidden"),
         ({**TINY, "observations": ["picture"]}, "observations .* must be .*got \\['picture'\\]"),
         ({**TINY, "observations": []}, "observations .* must be"),
+        ({**TINY, "observations": ["observation"]}, "with observation, achieved_goal"),
         ({**TINY, "environments": 0}, "environments"),
+        ({**TINY, "action_repeat": 0}, "action_repeat .* at least 1, got 0"),
+        ({**TINY, "action_repeat": 2.5}, "action_repeat .* at least 1, got 2.5"),
+        ({**TINY, "gripper_openings": {"probability": 0.1}}, "gripper_openings .* must be null or"),
+        ({**TINY, "gripper_openings": {"probability": 1.5, "decisions": 3}}, "at most 1"),
+        ({**TINY, "gripper_openings": {"probability": 0.5, "decisions": 0}}, "at least 1; got"),
         ({**TINY, "sac": {"learning_starts": 10}}, "learning_starts"),
+        (
+            {**TINY, "action_repeat": 5, "sac": {"learning_starts": 79}},
+            "learning_starts .* at least 80",
+        ),
     ],
 )
 def test_bad_settings_are_named(tmp_path: Path, settings: Any, named: str) -> None:
@@ -281,9 +302,12 @@ def test_refused_settings_claim_no_folder(tmp_path: Path) -> None:
 
 def test_unknown_arguments_of_sac_are_named() -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
-    settings = HyperParameters(1, None, {"learning_pace": 1.0}, None)
+    settings = replace(HyperParameters(**TINY), sac={"learning_pace": 1.0})
     with pytest.raises(ValueError, match="learning_pace"):
-        make_model(env, settings, seed=0)
+        make_model(env, "Placement", settings, seed=0)
+    settings = replace(HyperParameters(**TINY), hidden=["colour"])
+    with pytest.raises(ValueError, match="hidden must name goal fields of Placement, .*'colour'"):
+        make_model(env, "Placement", settings, seed=0)
     env.close()
 
 
