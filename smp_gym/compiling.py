@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import logging
+import multiprocessing
 import os
 import shutil
 import sys
@@ -47,7 +48,8 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     A decorator, with or without options. The compiled function gives up the interpreter's lock.
     Entries lie in `NUMBA_CACHE_DIR` if that is set, else in the `__pycache__` of the function's
     package, else in the user's cache directory; entries of all but the newest `_KEPT` digests are
-    removed when a new digest is written.
+    removed when a new digest is written. The first compiling of a process is announced on the
+    screen, in terminals and notebooks.
 
     Args:
         function: what to compile; it may call other kernels and use constants of its module.
@@ -105,6 +107,7 @@ class _KernelCache(_Cache):
         try:
             content = (self._folder.path / name).read_bytes()
         except OSError:
+            _announce()
             return None
         try:
             stamp, body = content[:32], content[32:]
@@ -133,6 +136,18 @@ class _KernelCache(_Cache):
         key = (sig, codegen.magic_tuple(), sys.version, numba.__version__, self._digest)
         text = repr((str(sig), *key[1:]))
         return _name(self._dispatcher.py_func, hashlib.sha256(text.encode()).hexdigest()[:16]), key
+
+
+@functools.cache
+def _announce() -> None:
+    """Say once on the screen, where somebody is watching, why nothing seems to happen."""
+    watched = "ipykernel" in sys.modules or (sys.stderr is not None and sys.stderr.isatty())
+    if watched and multiprocessing.parent_process() is None:
+        print(
+            "compiling for the first use of this version, up to half a minute; later starts are quick",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _name(function: Callable[..., Any], key: str) -> str:

@@ -2,11 +2,13 @@
 
 import logging
 import os
+import pty
 import shutil
 import subprocess
 import sys
 import tempfile
 import traceback
+from contextlib import suppress
 from pathlib import Path
 
 import numba
@@ -242,3 +244,22 @@ def test_kernels_use_no_other_cache():
     for path in [*(ROOT / "smp_gym").rglob("*.py"), *(ROOT / "smp_planner").rglob("*.py")]:
         if path.name != "compiling.py":
             assert "njit" not in path.read_text(), path
+
+
+def test_whoever_watches_a_terminal_is_told_of_the_first_compiling(package):
+    """A process on a pseudo-terminal says so once when it compiles, and nothing when it loads."""
+    told = []
+    for _ in range(2):
+        ours, theirs = pty.openpty()
+        subprocess.run(
+            [sys.executable, "-c", RUN],
+            env=os.environ | _environment(package),
+            stdout=subprocess.DEVNULL,
+            stderr=theirs,
+            check=True,
+        )
+        os.close(theirs)
+        with suppress(OSError):  # that is how reading a closed terminal ends
+            told.append(os.read(ours, 4096).decode())
+        os.close(ours)
+    assert [text.count("compiling for the first use") for text in told] == [1]

@@ -306,7 +306,7 @@ def test_unknown_arguments_of_sac_are_named() -> None:
     with pytest.raises(ValueError, match="learning_pace"):
         make_model(env, "Placement", settings, seed=0)
     settings = replace(HyperParameters(**TINY), hidden=["colour"])
-    with pytest.raises(ValueError, match="hidden must name goal fields of Placement, .*'colour'"):
+    with pytest.raises(ValueError, match=r"hidden must name goal fields of Placement, .*'colour'"):
         make_model(env, "Placement", settings, seed=0)
     env.close()
 
