@@ -144,7 +144,7 @@ def _announce() -> None:
     watched = "ipykernel" in sys.modules or (sys.stderr is not None and sys.stderr.isatty())
     if watched and multiprocessing.parent_process() is None:
         print(
-            "compiling for the first use of this version, up to half a minute; later starts are quick",
+            "compiling for the first use of this version, up to half a minute; kept for later",
             file=sys.stderr,
             flush=True,
         )

@@ -12,6 +12,7 @@ from smp_gym.observation import (
     RobotState,
     decode,
     observation_space,
+    state_places,
 )
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS, Goal, ManipulatedObject, Obstacle, Scene
@@ -129,6 +130,7 @@ def changed(key, index, value):
         (changed("observation", slice(31, 34), 0.5), "quaternion of norm 1"),
         (changed("observation", -2, 0.001), "whole number of steps"),
         (changed("observation", -1, 0.5), "index as control"),
+        (changed("observation", state_places("supports").start, 0.5), "supports where"),
         (changed("obstacles", 1, 0.5), "one shape"),
         (changed("obstacles", slice(1, 4), 1.0), "one shape"),
         (changed("obstacles", slice(0, 4), 0.0), "not present"),

@@ -68,6 +68,29 @@ def test_shaping_keeps_the_order_at_its_discount(id):
     assert potential.min() > -10.0
 
 
+@pytest.mark.parametrize("task", ["Placement", "DoubleSidedPlacement", "PushLiftBox"])
+def test_staying_at_a_subgoal_is_worth_no_more_than_success(task):
+    """Hindsight keeps the ends of episodes, so at a goal that it puts in place they go on."""
+    env, going, succeeded, _, desired = ends(task)
+    flags = [
+        env.task.goals.columns(field.name).start
+        for field in env.task.goals.layout
+        if field.high == 1.0
+    ]
+    subgoal = going.copy()
+    subgoal[flags] = 0.0
+    if task == "DoubleSidedPlacement":  # the object is at one place: both fields tell it
+        one, other = (env.task.goals.columns(f"object_position_{s}") for s in ("left", "right"))
+        succeeded[other] = succeeded[one]
+    subgoal_reward, success = env.compute_reward(
+        np.stack([subgoal, succeeded]), np.stack([subgoal, desired]), [{}] * 2
+    )
+    env.close()
+    assert success == smp_gym.env.SUCCESS_REWARD
+    assert 0.0 < subgoal_reward < success
+    assert subgoal_reward / (1.0 - 0.95) <= success + 1e-9
+
+
 def drop(env, steps):
     observations = []
     for _ in range(steps):
