@@ -13,7 +13,13 @@ from smp_planner.benchmark.options import run_command
 
 
 def main(
-    card: Annotated[Path, typer.Argument(help="Card of a trained or a shipped agent.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Card of a trained or a shipped agent, or the folder of scripts/train_agent.py, "
+            "whose final.zip is read: it runs what that holds, pickled."
+        ),
+    ],
     results: Annotated[
         Path | None, typer.Option(help="Folder of smp-bench run with its episodes.")
     ] = None,
@@ -21,12 +27,12 @@ def main(
         Path | None, typer.Option(help="To write into. Default: envs_assets/agents/.")
     ] = None,
 ) -> None:
-    """Write CARD and its weights into the package, with the success that RESULTS hold.
+    """Write card and weights of SOURCE into the package, with the success that RESULTS hold.
 
     Example: python scripts/ship_agent.py results/agents/mp_rl-Placement-medium-0/agent.json
     """
     try:
-        written = ship_agent(card, results, folder)
+        written = ship_agent(source, results, folder)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     Console().print(f"wrote {written}", soft_wrap=True)

@@ -18,6 +18,7 @@ __all__ = [
     "environment_id",
     "register_envs",
     "register_task",
+    "task_of",
 ]
 
 _ENTRY_POINT = "smp_gym.env:ManipulationEnv"
@@ -45,6 +46,18 @@ _SUFFIXES = {"sparse": "", "dense": "Dense"}
 def environment_id(task: str, reward: str = "sparse", version: int = 0) -> str:
     """Return the Gymnasium id of a task with the "sparse" or the "dense" reward."""
     return f"smp_gym/{task}{_SUFFIXES[reward]}-v{version}"
+
+
+def task_of(id: str) -> str:
+    """Return the task of an environment id.
+
+    Raises:
+        ValueError: no such id.
+    """
+    for entry in ENVIRONMENTS:
+        if entry.id == id:
+            return entry.task
+    raise ValueError(f"id must be one of {', '.join(e.id for e in ENVIRONMENTS)}; got {id!r}")
 
 
 def _ids(tasks: Iterable[TaskDefinition]) -> tuple[Registration, ...]:

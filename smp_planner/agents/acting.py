@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 from smp_gym.observation import Sensing, observation_space
 from smp_gym.rollout import Policy
 from smp_gym.untrusted_files import read_file, read_members
+from smp_planner.agents.actor_file import read_actor
 from smp_planner.agents.decisions import acting
+from smp_planner.planners.card_file import shipped_agent
 
-__all__ = ["RandomActions", "ViewingAgent", "load_zip"]
+__all__ = ["RandomActions", "ViewingAgent", "load_shipped", "load_zip"]
 
 _ACTIONS = spaces.Box(-1.0, 1.0, (7,), np.float32)
 
@@ -123,6 +125,28 @@ class ViewingAgent:
             # As `gymnasium.spaces.flatten` has it: the keys of a space are in alphabetical order.
             seen = np.concatenate([np.ravel(observation[key]) for key in sorted(observation)])
         return self.agent.predict(seen, state, episode_start, deterministic)
+
+
+def load_shipped(name: str, task: str) -> ViewingAgent:
+    """Return an agent whose actor is shipped.
+
+    Args:
+        name: of its method.
+        task: that it was trained for.
+
+    Raises:
+        ValueError: none is shipped for the task.
+    """
+    try:
+        actor, card = read_actor(shipped_agent(name, task))
+    except FileNotFoundError as error:
+        raise ValueError(
+            f"no agent {name} is shipped for {task} ({error.filename}): train one with "
+            "scripts/train_agent.py, and name its final.zip as name=path.zip"
+        ) from None
+    own = observation_space(task)
+    space = spaces.Dict({key: own[key] for key in card.entries})
+    return ViewingAgent(acting(actor), space, name)
 
 
 def _algorithm(data: Mapping[str, Any], path: Path) -> Any:

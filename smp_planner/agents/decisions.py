@@ -9,11 +9,14 @@ import gymnasium
 
 from smp_gym.rollout import Policy
 
-__all__ = ["ACTION_REPEAT", "ActionRepeat", "HeldActions", "acting"]
+__all__ = ["ACTION_REPEAT", "CPU_SECONDS", "ActionRepeat", "HeldActions", "acting"]
 
 
 ACTION_REPEAT = "action_repeat"
 """Attribute of an agent, in its file too: environment steps that a decision lasts."""
+
+CPU_SECONDS = "cpu_seconds"
+"""Attribute of an agent, in its file too: processor time of its training, evaluations included."""
 
 _PREVIOUS = "previous_achieved_goal"
 

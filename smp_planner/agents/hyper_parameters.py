@@ -9,10 +9,9 @@ from typing import Any
 
 from smp_gym.observation import MAX_EPISODE_STEPS, observation_space
 from smp_gym.scene import TASKS
+from smp_planner.agents.goal_view import GOAL_CONDITIONED
 
 __all__ = ["HyperParameters"]
-
-_GOAL_CONDITIONED = ("observation", "achieved_goal", "desired_goal")
 
 
 @dataclass(frozen=True)
@@ -24,11 +23,12 @@ class HyperParameters:
         observations: entries of the observation that the agent sees; None for all. Where there are
             no obstacles, leaving out their rows of zeros makes learning faster.
         hidden: fields of the desired goal that its networks do not see, see
-            `smp_planner.agents.goal_features.GoalFeatures`.
+            `smp_planner.agents.goal_view.GoalView`.
         action_repeat: environment steps that a decision lasts.
         gripper_openings: exploration by opening the hand, arguments ``probability`` and
             ``decisions`` of `smp_planner.agents.decisions.GripperOpenings`; None for none.
-        sac: arguments of `stable_baselines3.SAC`.
+        sac: arguments of `stable_baselines3.SAC`; a ``learning_rate`` with ``start`` and ``end``
+            changes linearly over the training.
         her: arguments of `stable_baselines3.HerReplayBuffer`; None for none.
     """
 
@@ -83,12 +83,21 @@ class HyperParameters:
         known = list(observation_space(TASKS[0]))
         if settings.observations is not None and not (
             isinstance(settings.observations, list)
-            and set(_GOAL_CONDITIONED) <= set(settings.observations) <= set(known)
+            and set(GOAL_CONDITIONED) <= set(settings.observations) <= set(known)
         ):
             raise ValueError(
                 f"observations in {path} must be null or of {', '.join(known)}, with "
-                f"{', '.join(_GOAL_CONDITIONED)} among them; "
+                f"{', '.join(GOAL_CONDITIONED)} among them; "
                 f"got {settings.observations!r}"
+            )
+        rate = settings.sac.get("learning_rate", 3e-4)
+        rates = [rate.get(name) for name in ("start", "end")] if isinstance(rate, dict) else [rate]
+        if not all(isinstance(value, int | float) and value > 0.0 for value in rates) or (
+            isinstance(rate, dict) and len(rate) != 2
+        ):
+            raise ValueError(
+                f"sac.learning_rate in {path} must be positive, or have a positive start and end; "
+                f"got {rate!r}"
             )
         if settings.her is not None:
             decisions = -(-MAX_EPISODE_STEPS // settings.action_repeat)

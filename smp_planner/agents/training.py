@@ -17,7 +17,7 @@ the last bit, on the same machine with the same packages and number of threads: 
 the episodes that are under way and the state of all random generators. Only the records of returns
 and the times in the logs of stable-baselines3 start anew. Where the physics does not come to the
 same states again, as may be on another machine, the training goes on with new episodes, and a
-warning says so.
+warning says so. A learning rate that changes does so over the steps that are asked for.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ import json
 import logging
 import random
 import shutil
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -47,6 +48,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import VectorizedActionNoise
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 import smp_gym  # noqa: F401  (registers the environments)
@@ -55,7 +57,7 @@ from smp_gym.env import ManipulationEnv
 from smp_gym.folder_lock import FolderLock
 from smp_gym.registration import environment_id
 from smp_gym.scene import EVALUATION_SEEDS_START
-from smp_planner.agents.decisions import ACTION_REPEAT, ActionRepeat
+from smp_planner.agents.decisions import ACTION_REPEAT, CPU_SECONDS, ActionRepeat
 from smp_planner.agents.evaluations import (
     Evaluation,
     draw_curve,
@@ -95,6 +97,9 @@ def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> 
         **settings.sac.get("policy_kwargs", {}),
     }
     arguments: dict[str, Any] = {**settings.sac, "policy_kwargs": policy}
+    rate = settings.sac.get("learning_rate")
+    if isinstance(rate, dict):
+        arguments["learning_rate"] = LinearSchedule(rate["start"], rate["end"], 1.0)
     if settings.gripper_openings is not None:
         openings = GripperOpenings(seed=seed, **settings.gripper_openings)
         if settings.environments > 1:
@@ -110,6 +115,7 @@ def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> 
         raise ValueError(f"the hyper-parameters do not fit: {error}") from None
     # What stable-baselines3 saves of an agent are its attributes.
     setattr(model, ACTION_REPEAT, settings.action_repeat)
+    setattr(model, CPU_SECONDS, 0.0)
     return model
 
 
@@ -297,7 +303,7 @@ class Training:
         begun = folder / "run.json"
         if begun.exists() and begun.read_text() != _text(description):
             raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
-        self._repeat = settings.action_repeat
+        self._repeat, self._counted = settings.action_repeat, time.process_time()
         seen = partial(_seen, observations=settings.observations)
         self._test_env = seen(gymnasium.make(self._id, difficulty=difficulty), 1)
         env = make_vec_env(
@@ -336,6 +342,9 @@ class Training:
 
         def measure(model: SAC) -> None:
             evaluation = evaluate(model, self._test_env, range(episodes))
+            now = time.process_time()
+            setattr(model, CPU_SECONDS, getattr(model, CPU_SECONDS) + now - self._counted)
+            self._counted = now
             self.evaluations.append(evaluation)
             if evaluation.rate >= max(e.rate for e in self.evaluations):
                 # An agent that only acts needs neither noise nor replay buffer, which to load takes

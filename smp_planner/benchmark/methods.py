@@ -1,6 +1,6 @@
 """Methods of the benchmark, planners and agents, by the specs that name them.
 
-An agent is ``random``; ``name=path.zip``, an agent that stable-baselines3 saved; or
+An agent is one of `AGENTS`; ``name=path.zip``, an agent that stable-baselines3 saved; or
 ``name=module:Class``, and the name that an installed package gives it, where the class has
 ``predict`` as stable-baselines3's agents have it, and no ``plan``. It is called with the name of
 the task, and sees whole observations. Any other spec names a planner, see
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from smp_gym.assets import asset_path
 from smp_gym.rollout import Policy
 from smp_gym.suites import Cell
 from smp_planner.planners import registry
@@ -26,7 +27,10 @@ from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = ["AGENTS", "Acting", "known_methods_and_agents", "resolve_method"]
 
-AGENTS = ("random",)
+SHIPPED = ("sac_her",)
+"""Agents whose actors are shipped, see `smp_planner.agents.actor_file`."""
+
+AGENTS = ("random", *SHIPPED)
 """Agents that have a name of their own."""
 
 _ZIP = ".zip"
@@ -39,7 +43,7 @@ class Acting:
     Attributes:
         name: of the method in rows and files.
         spec: with which `resolve_method` finds it again, in other processes, too.
-        digest: of what decides its actions: of its source files, or of its zip.
+        digest: of what decides its actions: of its source files, and of its weights.
         plans: whether it is a planner.
     """
 
@@ -75,8 +79,12 @@ class Acting:
                 f"and promp; got the agent {self.name!r}"
             )
         # stable-baselines3 takes seconds to import, and planners do without.
-        from smp_planner.agents.acting import RandomActions, load_zip
+        from smp_planner.agents.acting import RandomActions, load_shipped, load_zip
 
+        if self.spec in SHIPPED:
+            shipped = load_shipped(self.spec, task)
+            shipped.check(task, sensing)
+            return shipped
         if self.spec in AGENTS:
             return RandomActions()
         place = _place(self.spec)
@@ -118,7 +126,10 @@ def resolve_method(spec: str) -> Acting:
             ``.``.
     """
     if spec in AGENTS:
-        return Acting(spec, spec, registry.source_digest(__name__), plans=False)
+        decisive = hashlib.sha256(registry.source_digest(__name__).encode())
+        for path in sorted(asset_path("agents").glob(f"{spec}_*")):
+            decisive.update(path.read_bytes())
+        return Acting(spec, spec, decisive.hexdigest()[:16], plans=False)
     name, own, place = spec.rpartition("=") if isinstance(spec, str) else ("", "", "")
     if own and name in AGENTS:
         raise ValueError(f"the name {name!r} of a method is taken: give {place!r} another")

@@ -1,31 +1,18 @@
-"""Files of shipped agents: a JSON card, and weights as fp16 safetensors beside it; neither is code.
-
-Both are read with torch and safetensors alone. The shipped ones are in ``envs_assets/agents``, as
-``AGENT_TASK.json``.
-"""
+"""Files of agents that propose trajectories: a card, and the weights of a `BumpPolicy`."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load, save
-
-from smp_gym.arrays import shown
-from smp_gym.assets import asset_path
-from smp_gym.atomic_files import replacing, write_text
-from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.planners.bump_policy import BumpPolicy, NetworkShape
+from smp_planner.planners.card_file import load_weights, read_card, write_card
 
-__all__ = ["AgentCard", "read_agent", "shipped_agent", "write_agent"]
+__all__ = ["AgentCard", "read_agent", "write_agent"]
 
-FORMAT = "smp_planner.planners.agent_file"
-VERSION = 1
+_HEADER = {"format": "smp_planner.planners.agent_file", "version": 1}
 
 
 @dataclass(frozen=True)
@@ -50,24 +37,15 @@ class AgentCard:
     scores: Mapping[str, Any]
 
 
-def shipped_agent(agent: str, task: str) -> Path:
-    """Return the path of the card of a shipped agent; it need not exist."""
-    return asset_path("agents", f"{agent}_{task}.json")
-
-
 def write_agent(path: Path, policy: BumpPolicy, card: AgentCard) -> None:
-    """Write a card, and the weights beside it, in fp16, with the ending ``.safetensors``.
+    """Write a card, and the weights beside it; see `smp_planner.planners.card_file`.
 
     Args:
         path: of the card.
         policy: whose weights they are.
         card: what is known of it.
     """
-    weights = {name: value.half().contiguous() for name, value in policy.state_dict().items()}
-    with replacing(path.with_suffix(".safetensors")) as aside:
-        aside.write_bytes(save(weights))
-    header = {"format": FORMAT, "version": VERSION}
-    write_text(path, json.dumps({**header, **asdict(card)}, indent=2) + "\n")
+    write_card(path, card, _HEADER, policy)
 
 
 def read_agent(path: Path) -> tuple[BumpPolicy, AgentCard]:
@@ -81,21 +59,10 @@ def read_agent(path: Path) -> tuple[BumpPolicy, AgentCard]:
         ValueError: a file is damaged, of another version, or the weights are not those of the
             network that the card names.
     """
-    content = parse_json(read_file(path), str(path))
-    expected = {"format": FORMAT, "version": VERSION}
-    names = [field.name for field in fields(AgentCard)]
-    found = content if isinstance(content, dict) else {}
-    if {name: found.get(name) for name in expected} != expected or not set(names) <= set(found):
-        raise ValueError(f"{path} must be the card of an agent {expected}, got {shown(content)}")
-    card = AgentCard(**{name: found[name] for name in names})
-    weights = path.with_suffix(".safetensors")
+    card = read_card(path, AgentCard, _HEADER)
     try:
         policy = BumpPolicy(NetworkShape(**card.network))
-        state = load(read_file(weights))
-        policy.load_state_dict({name: value.to(torch.float32) for name, value in state.items()})
-    except (TypeError, RuntimeError, SafetensorError) as error:
-        raise ValueError(f"{weights} is not the weights of {path}: {error}") from None
-    if not all(bool(torch.isfinite(value).all()) for value in policy.state_dict().values()):
-        raise ValueError(f"{weights} must hold finite numbers")
-    policy.requires_grad_(False)
+    except (TypeError, RuntimeError) as error:
+        raise ValueError(f"{path} names no network: {error}") from None
+    load_weights(path, policy)
     return policy, card

@@ -20,8 +20,9 @@ from pydantic import BaseModel, ConfigDict, create_model
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError
-from smp_planner.planners.agent_file import read_agent, shipped_agent
+from smp_planner.planners.agent_file import read_agent
 from smp_planner.planners.bump_policy import look, stacked
+from smp_planner.planners.card_file import shipped_agent
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.bumps import BumpedMean, bump_phases, bumped_mean
 from smp_planner.planning.pipeline import Stopwatch

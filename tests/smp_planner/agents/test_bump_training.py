@@ -20,9 +20,10 @@ from smp_planner.agents.shipping import scores_of, ship_agent
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest
 from smp_planner.planners import make_planner
-from smp_planner.planners.agent_file import read_agent, shipped_agent, write_agent
+from smp_planner.planners.agent_file import read_agent, write_agent
 from smp_planner.planners.bump_planner import LEARNED, BumpPlanner
 from smp_planner.planners.bump_policy import ActionDistribution, BumpPolicy, Looks, NetworkShape
+from smp_planner.planners.card_file import shipped_agent
 
 TINY = BumpSettings(scenes=3, batch=3, rollouts=4, epochs=2, bumps=2)
 

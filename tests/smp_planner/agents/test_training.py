@@ -3,7 +3,7 @@
 import json
 import runpy
 from dataclasses import replace
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,12 @@ from smp_gym.assets import asset_path
 from smp_gym.env import FAILURE_REWARD, SUBGOAL_REWARD, SUCCESS_REWARD
 from smp_gym.folder_lock import FolderLock
 from smp_gym.observation import MAX_EPISODE_STEPS
-from smp_planner.agents.decisions import ACTION_REPEAT
+from smp_gym.rollout import Moment, rollout
+from smp_planner.agents.actor_file import read_actor
+from smp_planner.agents.decisions import ACTION_REPEAT, acting
 from smp_planner.agents.evaluations import evaluate, read_evaluations
 from smp_planner.agents.hyper_parameters import HyperParameters
+from smp_planner.agents.shipping import ship_agent
 from smp_planner.agents.training import load_checkpoint, make_model, save_checkpoint
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "train_agent.py"
@@ -94,7 +97,7 @@ def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
     change = [
         float((model.get_parameters()["policy"][name] - value).abs().max())
         for name, value in untrained.items()
-        if name.startswith("actor.") and not name.endswith("_shown")
+        if name.startswith("actor.")
     ]
     assert min(change) > 0.0
     env.close()
@@ -162,6 +165,41 @@ def test_result_and_figure_are_written(trained: Path) -> None:
     final = SAC.load(trained / "out" / "final.zip", device="cpu")
     assert final.num_timesteps == result["final"]["steps"] == 500
     assert (trained / "out" / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_shipped_actor_acts_as_the_agent_did(trained: Path, tmp_path: Path) -> None:
+    """Without stable-baselines3: from its card and fp16 weights alone."""
+    path = ship_agent(trained / "out", folder=tmp_path)
+    actor, card = read_actor(path)
+    assert (card.agent, card.task, card.training["steps"]) == ("sac_her", "Placement", 500)
+    assert card.training["cpu_seconds"] > 0.0
+    agent = SAC.load(trained / "out" / "final.zip", device="cpu")
+    env = gym.make(ID, difficulty="none")
+    moments: list[Moment] = []
+    rollout(env, acting(actor), seed=5, steps=60, recorders=[moments.append])
+    env.close()
+    for before, after in pairwise(moments):
+        seen = {key: before.observation[key] for key in TINY["observations"]}
+        theirs, _ = agent.predict(seen, deterministic=True)
+        np.testing.assert_allclose(after.action, theirs, atol=2e-3)
+
+
+def test_a_damaged_actor_is_refused(trained: Path, tmp_path: Path) -> None:
+    path = ship_agent(trained / "out", folder=tmp_path)
+    content = json.loads(path.read_text())
+    for change, named in (
+        ({"version": 99}, "must be the card of an agent"),
+        ({"layers": [8]}, "is not the weights of"),
+        ({"hidden": ["colour"]}, "names no network: hidden must name"),
+        ({"entries": ["observation"]}, "names no network: entries must be"),
+        ({"task": "Juggle"}, "names no network"),
+        ({"layers": "wide"}, "names no network"),
+    ):
+        path.write_text(json.dumps({**content, **change}))
+        with pytest.raises(ValueError, match=named):
+            read_actor(path)
+    with pytest.raises(ValueError, match="must hold a finished training"):
+        ship_agent(tmp_path, folder=tmp_path)
 
 
 def test_hindsight_rewards_are_those_of_the_environment() -> None:
@@ -274,6 +312,8 @@ def test_bad_arguments_are_named(tmp_path: Path, arguments: tuple[str, ...], nam
         ({**TINY, "gripper_openings": {"probability": 1.5, "decisions": 3}}, "at most 1"),
         ({**TINY, "gripper_openings": {"probability": 0.5, "decisions": 0}}, "at least 1; got"),
         ({**TINY, "sac": {"learning_starts": 10}}, "learning_starts"),
+        ({**TINY, "sac": {"learning_rate": 0}}, "learning_rate .* must be positive"),
+        ({**TINY, "sac": {"learning_rate": {"start": 1}}}, "learning_rate .* got {'start': 1}"),
         (
             {**TINY, "action_repeat": 5, "sac": {"learning_starts": 79}},
             "learning_starts .* at least 80",

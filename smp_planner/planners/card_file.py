@@ -1,0 +1,92 @@
+"""Files of trained agents: a JSON card, and weights as fp16 safetensors beside it; neither is code.
+
+Both are read with torch and safetensors alone. The shipped ones are in ``envs_assets/agents``, as
+``AGENT_TASK.json``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+
+from smp_gym.arrays import shown
+from smp_gym.assets import asset_path
+from smp_gym.atomic_files import replacing, write_text
+from smp_gym.untrusted_files import parse_json, read_file
+
+__all__ = ["load_weights", "read_card", "shipped_agent", "weights_path", "write_card"]
+
+Card = TypeVar("Card")
+
+
+def shipped_agent(agent: str, task: str) -> Path:
+    """Return the path of the card of a shipped agent; it need not exist."""
+    return asset_path("agents", f"{agent}_{task}.json")
+
+
+def weights_path(card: Path) -> Path:
+    """Return the path of the weights that belong to a card."""
+    return card.with_suffix(".safetensors")
+
+
+def write_card(path: Path, card: Any, header: dict[str, Any], module: torch.nn.Module) -> None:
+    """Write a card, and the weights beside it, in fp16.
+
+    Args:
+        path: of the card.
+        card: what is known of the agent, a dataclass.
+        header: what tells this kind of card and its version from others.
+        module: whose weights they are.
+    """
+    weights = {name: value.half().contiguous() for name, value in module.state_dict().items()}
+    with replacing(weights_path(path)) as aside:
+        aside.write_bytes(save(weights))
+    write_text(path, json.dumps({**header, **asdict(card)}, indent=2) + "\n")
+
+
+def read_card(path: Path, kind: type[Card], header: dict[str, Any]) -> Card:
+    """Return a card.
+
+    Args:
+        path: of the card.
+        kind: dataclass of the card.
+        header: with which it must begin.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is damaged, or of another kind or version.
+    """
+    content = parse_json(read_file(path), str(path))
+    names = [field.name for field in fields(cast(Any, kind))]
+    found = content if isinstance(content, dict) else {}
+    if {name: found.get(name) for name in header} != header or not set(names) <= set(found):
+        raise ValueError(f"{path} must be the card of an agent {header}, got {shown(content)}")
+    return kind(**{name: found[name] for name in names})
+
+
+def load_weights(path: Path, module: torch.nn.Module) -> None:
+    """Load the weights that belong to a card into a module, which is not trained any further.
+
+    Args:
+        path: of the card.
+        module: the network that the card names.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is damaged, of another network, or holds numbers that are not finite.
+    """
+    weights = weights_path(path)
+    try:
+        state = load(read_file(weights))
+        module.load_state_dict({name: value.to(torch.float32) for name, value in state.items()})
+    except (RuntimeError, SafetensorError) as error:
+        raise ValueError(f"{weights} is not the weights of {path}: {error}") from None
+    if not all(bool(torch.isfinite(value).all()) for value in module.state_dict().values()):
+        raise ValueError(f"{weights} must hold finite numbers")
+    module.requires_grad_(False)
