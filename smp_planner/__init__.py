@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from smp_gym.optional_packages import require
 
 if TYPE_CHECKING:
+    from smp_planner.library.mesh_obstacles import mesh_obstacles
     from smp_planner.library.smp import (
         SMP,
         AdaptSettings,
@@ -45,6 +46,7 @@ __all__ = [
     "ViaPoint",
     "__version__",
     "make_planner",
+    "mesh_obstacles",
 ]
 
 try:
@@ -57,6 +59,7 @@ require("planner", "smp_planner")
 _HOMES = {
     "PlannerPolicy": "smp_planner.policy.planner_policy",
     "make_planner": "smp_planner.planners",
+    "mesh_obstacles": "smp_planner.library.mesh_obstacles",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,15 @@ from smp_gym.arrays import FloatArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_planner.library.urdf_reading import Link, Shape
 
-__all__ = ["MOST_SPHERES", "cover_link", "cover_mesh"]
+__all__ = [
+    "MOST_SPHERES",
+    "check_mesh",
+    "cover_link",
+    "cover_mesh",
+    "read_mesh",
+    "refuse_fine",
+    "size_of",
+]
 
 MOST_SPHERES = 4096
 """Spheres of a robot at most: the pairs of them that may touch grow with the square."""
@@ -45,13 +54,7 @@ def cover_link(link: Link, cell: float, left: int = MOST_SPHERES) -> FloatArray:
             mesh = _mesh(shape, link.name)
             extent, needed = mesh.extents, float(mesh.area) / cell**2
             _refuse_beyond(left, link, shape, extent, cell, needed)
-            cut = _cut_triangles(mesh, cell)
-            if cut > _MOST_TRIANGLES:
-                raise ValueError(
-                    f"the mesh of link {link.name!r}, {_size(extent)}, would be cut into about "
-                    f"{cut:.0f} triangles for cell={cell} m, beyond {_MOST_TRIANGLES}: choose a "
-                    f"larger cell or a mesh of fewer triangles or, {_MILLIMETRES}"
-                )
+            refuse_fine(mesh, cell, f"the mesh of link {link.name!r}", _MILLIMETRES)
             spheres = cover_mesh(mesh, cell)
         else:
             half = REGISTRY[shape.kind].of_dimensions(shape.size.tolist())
@@ -66,7 +69,8 @@ def cover_link(link: Link, cell: float, left: int = MOST_SPHERES) -> FloatArray:
     return np.concatenate(covers)
 
 
-def _size(extent: FloatArray) -> str:
+def size_of(extent: FloatArray) -> str:
+    """Return the extents (3,) of a body, m, as text."""
     return " x ".join(f"{length:.3g}" for length in extent) + " m"
 
 
@@ -75,7 +79,7 @@ def _refuse_beyond(
 ) -> None:
     if needed > left:
         raise ValueError(
-            f"the {shape.kind} of link {link.name!r}, {_size(extent)}, would need about "
+            f"the {shape.kind} of link {link.name!r}, {size_of(extent)}, would need about "
             f"{needed:.0f} spheres of cell={cell} m, beyond the {MOST_SPHERES} that a robot may "
             f"have: choose a larger cell or, {_MILLIMETRES}"
         )
@@ -83,9 +87,22 @@ def _refuse_beyond(
 
 def _mesh(shape: Shape, link: str) -> Any:
     """Return the mesh of a shape, scaled, m."""
-    file = shape.mesh
-    assert file is not None
-    where = f"the mesh {file} of link {link!r}"
+    assert shape.mesh is not None
+    return read_mesh(shape.mesh, shape.size, f"the mesh {shape.mesh} of link {link!r}")
+
+
+def read_mesh(file: Path, scale: FloatArray, where: str) -> Any:
+    """Return the `trimesh.Trimesh` that a file holds, scaled.
+
+    Args:
+        file: of one of `_MESH_KINDS`.
+        scale: (3,) factors of its coordinates.
+        where: what it is, for errors.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is of another kind, too large, damaged, or has no triangles of finite size.
+    """
     kinds = sorted(_MESH_KINDS & set(trimesh.available_formats()))
     kind = file.suffix.lower().lstrip(".")
     if kind not in kinds:
@@ -94,13 +111,29 @@ def _mesh(shape: Shape, link: str) -> Any:
         raise ValueError(f"{where} must not be larger than {_LARGEST_MESH} bytes")
     try:
         mesh: Any = trimesh.load(file, force="mesh", skip_materials=True)
-        mesh.apply_transform(np.diag([*shape.size, 1.0]))
+        mesh.apply_transform(np.diag([*scale, 1.0]))
     except Exception as error:
         # Readers of meshes raise almost anything at damaged bytes.
         raise ValueError(f"{where} cannot be read: {error!r}") from error
+    check_mesh(mesh, where)
+    return mesh
+
+
+def check_mesh(mesh: Any, where: str) -> None:
+    """Raise ValueError unless a `trimesh.Trimesh` has triangles of finite size."""
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all() or not mesh.area > 0.0:
         raise ValueError(f"{where} must have triangles of finite size, got {len(mesh.faces)} faces")
-    return mesh
+
+
+def refuse_fine(mesh: Any, cell: float, where: str, advice: str) -> None:
+    """Raise ValueError if a mesh would be cut into too many triangles."""
+    cut = _cut_triangles(mesh, cell)
+    if cut > _MOST_TRIANGLES:
+        raise ValueError(
+            f"{where}, {size_of(mesh.extents)}, would be cut into about {cut:.0f} triangles for "
+            f"cell={cell} m, beyond {_MOST_TRIANGLES}: choose a larger cell or a mesh of fewer "
+            f"triangles or, {advice}"
+        )
 
 
 def _cut_triangles(mesh: Any, cell: float) -> float:
