@@ -35,7 +35,11 @@ _DELIMITERS = ",;\t"
 
 
 def read_csv(
-    path: Path, joints: Sequence[str] | None = None, *, nan_is_missing: bool = False
+    path: Path,
+    joints: Sequence[str] | None = None,
+    *,
+    nan_is_missing: bool = False,
+    one_of_several: bool = False,
 ) -> list[FloatArray]:
     """Return the demonstrations of a `.csv` file, in the order in which they first appear.
 
@@ -50,6 +54,8 @@ def read_csv(
         joints: names of a robot's joints. Columns of these names are put into their order;
             columns none of which is named like a joint are taken as they stand.
         nan_is_missing: whether an empty entry or NaN is a number that was not measured.
+        one_of_several: whether the file is one of several: without a column `demonstration` it then
+            holds one.
 
     Raises:
         FileNotFoundError: no such file.
@@ -57,7 +63,7 @@ def read_csv(
     """
     lines = csv.reader(io.StringIO(_text(path), newline=""), delimiter=",", strict=True)
     try:
-        return _demonstrations(lines, path, joints, nan_is_missing)
+        return _demonstrations(lines, path, joints, nan_is_missing, one_of_several)
     except csv.Error as error:
         raise ValueError(f"{path}, line {lines.line_num} is no line of a table: {error}") from error
 
@@ -82,8 +88,10 @@ def _text(path: Path) -> str:
     return text
 
 
-def _columns(names: Sequence[str], path: Path, joints: Sequence[str] | None) -> list[int]:
-    """Return the places of the columns demonstration, time (or -1) and the coordinates."""
+def _columns(
+    names: Sequence[str], path: Path, joints: Sequence[str] | None, one_of_several: bool
+) -> list[int]:
+    """Return the places of the columns demonstration and time (or -1), and of the coordinates."""
     where = f"{path}, line 1"
     lowered = [name.lower() for name in names]
     if "" in names and any(names):
@@ -100,10 +108,12 @@ def _columns(names: Sequence[str], path: Path, joints: Sequence[str] | None) -> 
     coordinates = [
         place for place, name in enumerate(lowered) if name != _DEMONSTRATION and place not in times
     ]
-    if _DEMONSTRATION not in lowered or not coordinates:
+    labelled = _DEMONSTRATION in lowered
+    if not (labelled or one_of_several) or not coordinates:
         raise ValueError(
             f"{path} must have the columns demonstration, time (optional) and one for each "
-            f"coordinate, got {', '.join(names) or 'none'}"
+            f"coordinate, got {', '.join(names) or 'none'}; of files with one demonstration each, "
+            "give a list"
         )
     if joints is not None:
         named = {names[place]: place for place in coordinates}
@@ -114,7 +124,8 @@ def _columns(names: Sequence[str], path: Path, joints: Sequence[str] | None) -> 
             f"{where} has the column {counting[0]!r}, which is no coordinate: leave it out, call "
             f"it time if it holds times that rise, or give it another name"
         )
-    return [lowered.index(_DEMONSTRATION), times[0] if times else -1, *coordinates]
+    label = lowered.index(_DEMONSTRATION) if labelled else -1
+    return [label, times[0] if times else -1, *coordinates]
 
 
 def _of_joints(places: Mapping[str, int], joints: Sequence[str], where: str) -> list[int]:
@@ -139,10 +150,14 @@ def _of_joints(places: Mapping[str, int], joints: Sequence[str], where: str) -> 
 
 
 def _demonstrations(
-    lines: Any, path: Path, joints: Sequence[str] | None, nan_is_missing: bool
+    lines: Any,
+    path: Path,
+    joints: Sequence[str] | None,
+    nan_is_missing: bool,
+    one_of_several: bool,
 ) -> list[FloatArray]:
     names = [name.strip() for name in next(lines, [])]
-    label, time, *coordinates = _columns(names, path, joints)
+    label, time, *coordinates = _columns(names, path, joints, one_of_several)
     numbers = coordinates if time < 0 else [time, *coordinates]
     rows: dict[str, list[list[float]]] = {}
     for line in lines:
@@ -155,10 +170,11 @@ def _demonstrations(
         for place in numbers:
             missing = nan_is_missing and place != time
             row.append(_number(line[place], f"{where}, column {names[place]!r}", missing))
-        known = rows.setdefault(line[label].strip(), [])
+        name = line[label].strip() if label >= 0 else ""
+        known = rows.setdefault(name, [])
         if time >= 0 and known and row[0] <= known[-1][0]:
             raise ValueError(
-                f"{where}, column {names[time]!r}: times of demonstration {line[label].strip()!r} "
+                f"{where}, column {names[time]!r}: times of demonstration {name!r} "
                 f"must rise, got {line[time].strip()} after {known[-1][0]!r}"
             )
         known.append(row)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, shown
 from smp_gym.untrusted_files import read_arrays, read_file
 from smp_planner.library.csv_table import read_csv
 from smp_planner.movement_primitives.samples import checked_demonstrations
@@ -24,7 +24,8 @@ def demonstrations_of(
     """Return demonstrations as read-only arrays (T_j, D) of one dimension.
 
     Args:
-        given: (N, T, D), N arrays (T_j, D), or a file: see `read_npz` and `read_csv`.
+        given: (N, T, D), N arrays (T_j, D), or a file or a list of files, see `read_npz` and
+            `read_csv`.
         joints: names of the joints whose angles they are; see `read_csv`.
         nan_is_missing: see `ProMP.fit`.
 
@@ -33,18 +34,35 @@ def demonstrations_of(
         ValueError: a file of another kind, fewer than two demonstrations, fewer than two samples in
             one, not all of one dimension, or a number that is neither finite nor missing.
     """
+    files = isinstance(given, list | tuple) and any(isinstance(x, str | Path) for x in given)
     if isinstance(given, str | Path):
-        path = Path(given)
-        if path.suffix.lower() not in (".npz", ".csv"):
-            raise ValueError(f"demonstrations must be a .npz or .csv file, got {str(given)!r}")
-        try:
-            if path.suffix.lower() == ".npz":
-                return _fixed(read_npz(path), nan_is_missing)
-            return _fixed(read_csv(path, joints, nan_is_missing=nan_is_missing), nan_is_missing)
-        except ValueError as error:
-            named = str(path) in str(error)
-            raise error if named else ValueError(f"{path}: {error}") from error
-    return _fixed(given, nan_is_missing)
+        read = _read(given, joints, nan_is_missing, one_of_several=False)
+    elif files:
+        read = []
+        for index, file in enumerate(given):
+            if not isinstance(file, str | Path):
+                raise ValueError(
+                    f"demonstrations[{index}] must be a file as others, got {shown(file)}"
+                )
+            read += _read(file, joints, nan_is_missing, one_of_several=True)
+    else:
+        return _fixed(given, nan_is_missing)
+    try:
+        return _fixed(read, nan_is_missing)
+    except ValueError as error:
+        names = ", ".join(Path(file).name for file in given) if files else str(given)
+        raise ValueError(f"{names}: {error}") from error
+
+
+def _read(
+    file: str | Path, joints: Sequence[str] | None, nan_is_missing: bool, one_of_several: bool
+) -> list[FloatArray]:
+    path = Path(file)
+    if path.suffix.lower() == ".npz":
+        return read_npz(path)
+    if path.suffix.lower() == ".csv":
+        return read_csv(path, joints, nan_is_missing=nan_is_missing, one_of_several=one_of_several)
+    raise ValueError(f"demonstrations must be .npz or .csv files, got {str(file)!r}")
 
 
 def _fixed(given: Iterable[Any], nan_is_missing: bool) -> tuple[FloatArray, ...]:

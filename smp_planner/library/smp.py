@@ -112,7 +112,7 @@ class SMP:
 
         Args:
             demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in any one unit, samples
-                at equal steps of phase; or a `.npz` or `.csv` file, see
+                at equal steps of phase; or a `.npz` or `.csv` file, or a list of such, see
                 `smp_planner.library.reading`.
             robot: of whose joints, rad, they are; None for paths in the plane or in space.
             **settings: see `PriorSettings`; `smooth_std` is 0.1 extents by default, and 0.2 rad for

@@ -139,10 +139,11 @@ def timed(
         path: (T, n) rad, T ≥ 2, such as `Plan.best`. Where samples lie much closer than elsewhere,
             some are left out.
         acceleration: rad/s², limit of all joints or of each (n,).
-        rate: least number of samples in a second.
+        rate: samples in a second. Where `duration` is no whole number of them, they stand a little
+            closer, up to the end.
         speed: share of the limits of velocity, above 0, at most 1; accelerations are limited to
             its square, so that the motion is the same but slower.
-        duration: s, of the whole motion, if it shall take longer than it must.
+        duration: s, of the whole motion; by default the shortest that is a whole number of samples.
 
     Raises:
         ImportError: the package `toppra` is not installed.
@@ -169,7 +170,9 @@ def timed(
             raise ValueError(
                 f"duration must be at least {takes:.3f} s for this path, got {duration}"
             )
-    longer = 1.0 if duration is None else max(duration / takes, 1.0)
+    if duration is None:
+        duration = (_samples(takes, rate) - 1) / rate
+    longer = max(duration / takes, 1.0)
     times = np.linspace(0.0, longer * takes, _samples(longer * takes, rate))
     at = np.minimum(times / longer, takes)
     return TimedTrajectory(

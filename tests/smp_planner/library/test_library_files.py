@@ -42,7 +42,7 @@ def test_files_that_hold_something_else_are_refused(tmp_path):
     whole = (tmp_path / "other.npz").read_bytes()
     for content in (b"", b"text", whole[: len(whole) // 2]):
         refused(tmp_path / "damaged.npz", content, r"damaged.npz is damaged")
-    with pytest.raises(ValueError, match=r"\.npz or \.csv file, got 'paths.mat'"):
+    with pytest.raises(ValueError, match=r"\.npz or \.csv files, got 'paths.mat'"):
         demonstrations_of("paths.mat")
     with pytest.raises(FileNotFoundError):
         demonstrations_of(tmp_path / "none.csv")
@@ -121,3 +121,37 @@ def test_files_of_primitives_that_are_damaged_or_other_are_refused(tmp_path):
         SMP.load(path)
     with pytest.raises(FileNotFoundError):
         SMP.load(tmp_path / "none.npz")
+
+
+def test_a_list_of_files_with_a_demonstration_each(tmp_path):
+    """As loggers write them: without a column that tells demonstrations apart."""
+    paths = [np.random.default_rng(n).normal(size=(30, 2)).cumsum(axis=0) for n in range(4)]
+    for n, path in enumerate(paths[:3]):
+        np.savetxt(tmp_path / f"{n}.csv", path, delimiter=",", header="x,y", comments="")
+    np.savez(tmp_path / "3.npz", demonstrations=np.array([paths[3]]))
+    files = [tmp_path / "0.csv", str(tmp_path / "1.csv"), tmp_path / "2.csv", tmp_path / "3.npz"]
+    read = demonstrations_of(files)
+    assert len(read) == 4
+    for given, found in zip(paths, read, strict=True):
+        np.testing.assert_allclose(found, given, atol=1e-12)
+
+
+def test_faults_of_one_file_among_several_are_named(tmp_path):
+    good = tmp_path / "good.csv"
+    good.write_text("x,y\n0,1\n1,2\n")
+    with pytest.raises(ValueError, match=r"good\.csv must have the columns demonstration.*a list"):
+        demonstrations_of(good)
+    torn = tmp_path / "torn.csv"
+    torn.write_text("x,y\n0,1\n1\n")
+    with pytest.raises(ValueError, match=r"torn\.csv, line 3 must have 2 entries, got 1"):
+        demonstrations_of([good, torn])
+    with pytest.raises(ValueError, match=r"demonstrations\[1\] must be a file as others"):
+        demonstrations_of([good, np.zeros((3, 2))])
+    with pytest.raises(ValueError, match=r"must be \.npz or \.csv files, got .*notes\.txt"):
+        demonstrations_of([good, tmp_path / "notes.txt"])
+    wide = tmp_path / "wide.csv"
+    wide.write_text("x,y,z\n0,1,2\n1,2,3\n")
+    with pytest.raises(ValueError, match=r"wide\.csv"):
+        demonstrations_of([good, wide])
+    with pytest.raises(FileNotFoundError):
+        demonstrations_of([good, tmp_path / "none.csv"])

@@ -23,7 +23,10 @@ def test_a_straight_path_takes_as_long_as_a_trapezoid_or_a_triangle(arm, distanc
     path = np.linspace(0.0, 1.0, 50)[:, None] * [0.0, distance]
     motion = arm.timed(path, acceleration)
     top = min(VELOCITY[1], np.sqrt(distance * acceleration))
-    assert motion.duration == pytest.approx(distance / top + top / acceleration, rel=1e-3)
+    fastest = distance / top + top / acceleration
+    # Up to the next sample: at the rate to the last one, as controllers want it.
+    assert fastest * (1.0 - 1e-3) <= motion.duration <= fastest * (1.0 + 1e-3) + 0.01
+    np.testing.assert_allclose(np.diff(motion.times), 0.01)
 
 
 @pytest.mark.parametrize("path", [BEND, BEND[::-1], BEND[np.repeat(np.arange(60), 2)]])
@@ -31,7 +34,7 @@ def test_limits_hold_and_the_path_is_kept(arm, path):
     limits = np.array([1.0, 2.5])
     motion = arm.timed(path, limits, rate=1000.0)
     step = motion.times[1]
-    assert step <= 1e-3
+    assert step == pytest.approx(1e-3)
     np.testing.assert_allclose(np.diff(motion.times), step)
     moved = np.diff(motion.positions, axis=0) / step
     assert (np.abs(moved) <= VELOCITY * (1.0 + 1e-6)).all()
