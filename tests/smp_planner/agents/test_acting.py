@@ -16,6 +16,7 @@ from smp_gym.rollout import rollout
 from smp_gym.suites import Cell
 from smp_planner.agents.acting import RandomActions, load_zip
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_results
+from smp_planner.benchmark.methods import resolve_method
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.summary import summarise
 
@@ -158,3 +159,16 @@ def test_what_is_no_agent_is_refused(tmp_path, spec, message):
 def test_an_agent_makes_no_plans_anew():
     with pytest.raises(ValueError, match=r"can go on from a plan.*agent 'random'"):
         make_manifest([NONE], ["random"], 0, 1, replan_every=5)
+
+
+def test_the_shipped_agent_places_and_says_where_it_cannot():
+    """On tuning seeds that it was neither trained nor chosen on."""
+    method = resolve_method("sac_her")
+    assert not method.plans
+    policy = method.policy("Placement")
+    with gym.make("smp_gym/Placement-v0", difficulty="none") as env:
+        assert [rollout(env, policy, seed=seed).success for seed in range(74300, 74304)] == [
+            True
+        ] * 4
+    with pytest.raises(ValueError, match=r"no agent sac_her is shipped for DrawS .*train_agent"):
+        method.policy("DrawS")
