@@ -91,8 +91,9 @@ def test_a_part_of_a_set_costs_what_it_does_alone(robot, grid):
         value, gradient = cost(q)
         for part in (slice(0, 4), slice(4, 5), slice(5, 9)):
             alone = cost(q[part])
-            np.testing.assert_array_equal(alone[0], value[part])
-            np.testing.assert_array_equal(alone[1], gradient[part])
+            # Some processors sum the last few of a loop in another order.
+            np.testing.assert_allclose(alone[0], value[part], rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(alone[1], gradient[part], rtol=1e-4, atol=2e-5)
 
 
 def test_a_stretch_costs_what_its_steps_do(robot, grid):
@@ -119,7 +120,10 @@ def test_configurations_that_are_no_numbers_harm_nothing(robot, grid):
             cost(given, value, gradient)
             results.append((value, gradient))
         for of_all, of_spoiled in zip(*results, strict=True):
-            np.testing.assert_array_equal(of_spoiled[[0, 3]], of_all[[0, 3]], err_msg=name)
+            # Some processors sum the last few of a loop in another order.
+            np.testing.assert_allclose(
+                of_spoiled[[0, 3]], of_all[[0, 3]], rtol=1e-4, atol=2e-5, err_msg=name
+            )
 
 
 def test_nothing_near_costs_exactly_nothing(robot):

@@ -213,7 +213,7 @@ def test_widening_a_primitive_equals_learning_it_wider(problem):
 
 
 def test_bends_between_checkpoints_and_obstacles_need_the_finer_basis(env):
-    scene = place_without_witness("DrawS", "medium", 20000)
+    scene = place_without_witness("DrawS", "medium", 20002)
     observation, _ = env.reset(options={"scene": scene})
     coarse = {"retries": 0, "basis_functions": 15, "smooth_length_scale": 0.2}
     good = []
