@@ -16,7 +16,7 @@ from torch import nn
 from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.agents.decisions import ACTION_REPEAT
 from smp_planner.agents.goal_view import GoalView
-from smp_planner.planners.card_file import load_weights, read_card, write_card
+from smp_planner.planners.card_file import read_network, write_card
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["Actor", "ActorCard", "is_actor", "read_actor", "write_actor"]
@@ -27,7 +27,7 @@ _ACTIONS = 7
 
 @dataclass(frozen=True)
 class ActorCard:
-    """What there is to know of an actor beside its weights.
+    """The description of an actor: what it sees, its layers, its training and its scores.
 
     Attributes:
         agent: name of the method.
@@ -112,10 +112,4 @@ def read_actor(path: Path) -> tuple[Actor, ActorCard]:
         ValueError: a file is damaged, of another version, or the weights are not those of the
             network that the card names.
     """
-    card = read_card(path, ActorCard, _HEADER)
-    try:
-        actor = Actor(card)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} names no network: {error}") from None
-    load_weights(path, actor)
-    return actor, card
+    return read_network(path, ActorCard, _HEADER, Actor)

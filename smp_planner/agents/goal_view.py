@@ -1,4 +1,4 @@
-"""What the networks of a goal-conditioned agent see of an observation."""
+"""Features of an observation for the networks of goal-conditioned agents."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from smp_planner.planners.bump_policy import BumpPolicy, NetworkShape
-from smp_planner.planners.card_file import load_weights, read_card, write_card
+from smp_planner.planners.card_file import read_network, write_card
 
 __all__ = ["AgentCard", "read_agent", "write_agent"]
 
@@ -59,10 +59,6 @@ def read_agent(path: Path) -> tuple[BumpPolicy, AgentCard]:
         ValueError: a file is damaged, of another version, or the weights are not those of the
             network that the card names.
     """
-    card = read_card(path, AgentCard, _HEADER)
-    try:
-        policy = BumpPolicy(NetworkShape(**card.network))
-    except (TypeError, RuntimeError) as error:
-        raise ValueError(f"{path} names no network: {error}") from None
-    load_weights(path, policy)
-    return policy, card
+    return read_network(
+        path, AgentCard, _HEADER, lambda card: BumpPolicy(NetworkShape(**card.network))
+    )

@@ -7,6 +7,7 @@ Both are read with torch and safetensors alone. The shipped ones are in ``envs_a
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -20,9 +21,10 @@ from smp_gym.assets import asset_path
 from smp_gym.atomic_files import replacing, write_text
 from smp_gym.untrusted_files import parse_json, read_file
 
-__all__ = ["load_weights", "read_card", "shipped_agent", "weights_path", "write_card"]
+__all__ = ["read_card", "read_network", "shipped_agent", "weights_path", "write_card"]
 
 Card = TypeVar("Card")
+Network = TypeVar("Network", bound=torch.nn.Module)
 
 
 def shipped_agent(agent: str, task: str) -> Path:
@@ -70,23 +72,34 @@ def read_card(path: Path, kind: type[Card], header: dict[str, Any]) -> Card:
     return kind(**{name: found[name] for name in names})
 
 
-def load_weights(path: Path, module: torch.nn.Module) -> None:
-    """Load the weights that belong to a card into a module, which is not trained any further.
+def read_network(
+    path: Path, kind: type[Card], header: dict[str, Any], make: Callable[[Card], Network]
+) -> tuple[Network, Card]:
+    """Return the network of an agent, which is not trained any further, and its card.
 
     Args:
         path: of the card.
-        module: the network that the card names.
+        kind: dataclass of the card.
+        header: with which it must begin.
+        make: makes the network that a card names, without its weights.
 
     Raises:
         OSError: there is no such file.
-        ValueError: it is damaged, of another network, or holds numbers that are not finite.
+        ValueError: a file is damaged, of another kind or version, or the weights are not those of
+            the network that the card names, or not finite.
     """
+    card = read_card(path, kind, header)
+    try:
+        network = make(card)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path} names no network: {error}") from None
     weights = weights_path(path)
     try:
         state = load(read_file(weights))
-        module.load_state_dict({name: value.to(torch.float32) for name, value in state.items()})
+        network.load_state_dict({name: value.to(torch.float32) for name, value in state.items()})
     except (RuntimeError, SafetensorError) as error:
         raise ValueError(f"{weights} is not the weights of {path}: {error}") from None
-    if not all(bool(torch.isfinite(value).all()) for value in module.state_dict().values()):
+    if not all(bool(torch.isfinite(value).all()) for value in network.state_dict().values()):
         raise ValueError(f"{weights} must hold finite numbers")
-    module.requires_grad_(False)
+    network.requires_grad_(False)
+    return network, card
