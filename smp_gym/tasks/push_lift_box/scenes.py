@@ -43,7 +43,7 @@ from smp_gym.tasks.push_lift_box.legs import (
 
 __all__ = ["CROWDS", "SAMPLER"]
 
-CROWDS = {"easy": (0.022, 9, 0.003), "medium": (0.020, 9, 0.01), "hard": (0.010, 11, 0.001)}
+CROWDS = {"easy": (0.022, 9, 0.003), "medium": (0.016, 10, 0.002), "hard": (0.010, 11, 0.001)}
 """By difficulty: clearance of the reference (m), number of obstacles, and share of the trajectories
 that may stay free of them."""
 
