@@ -29,12 +29,12 @@ from smp_planner.inference.hamiltonian import Evaluated, hamiltonian_moves
 from smp_planner.inference.resampling import effective_size, resampled, temperature_rise
 from smp_planner.inference.svgd import LEAPFROGS
 
-__all__ = ["tempered_stein"]
+__all__ = ["FIRST_ANGLE", "JITTER", "tempered_stein"]
 
-_JITTER = 0.2
+JITTER = 0.2
 """Share of fresh noise in a copy: z' = sqrt(1 - s²) z + s ξ, which keeps the prior as it is."""
 
-_FIRST_ANGLE = 0.08
+FIRST_ANGLE = 0.08
 """Step, rad, with which Hamiltonian moves begin; each particle's own follows its acceptance."""
 
 
@@ -86,7 +86,7 @@ class _Part:
         particles = self.particles[chosen]
         copies = np.flatnonzero(np.diff(chosen, prepend=-1) == 0)
         noise = rng.standard_normal((len(copies), particles.shape[1]))
-        particles[copies] = math.sqrt(1.0 - _JITTER**2) * particles[copies] + _JITTER * noise
+        particles[copies] = math.sqrt(1.0 - JITTER**2) * particles[copies] + JITTER * noise
         self.particles, self.memory = particles, _taken(self.memory, chosen)
 
     def move(self, moves: int, rng: np.random.Generator) -> None:
@@ -98,7 +98,7 @@ class _Part:
             rng,
             moves=moves,
             leapfrogs=LEAPFROGS,
-            step=_FIRST_ANGLE,
+            step=FIRST_ANGLE,
         )
         self.particles = moved.particles
 

@@ -1,4 +1,4 @@
-"""Stein variational gradient descent of a batch on one device: Algorithm 1 without the host.
+"""Runs of a batch's particles on one device without the host, Algorithm 1 among them.
 
 Whitened particles z and trajectories are related by one affine map for each run,
 q = Φ μ + (Φ L) z, so that an iteration multiplies by it once and by its transpose once. None of
@@ -22,7 +22,15 @@ from smp_planner.movement_primitives import phases
 from smp_planner.movement_primitives.basis import GaussianBasis
 from smp_planner.planning.own_costs import OwnCost
 
-__all__ = ["BatchCosts", "DeviceTarget", "Graphs", "PathRuns", "descend"]
+__all__ = [
+    "BatchCosts",
+    "Descent",
+    "DeviceTarget",
+    "Graphs",
+    "PathRuns",
+    "Work",
+    "carry_out",
+]
 
 _WARM_UP = 2
 """Iterations before a graph is recorded: they compile kernels and fill caches."""
@@ -36,6 +44,10 @@ class BatchCosts(Protocol):
 
     def gradient(self, trajectories: Tensor, width: float) -> Tensor:
         """Return the gradient (B, P, T, n) of the weighted sum of costs."""
+        ...
+
+    def weighted_sum(self, trajectories: Tensor) -> Tensor:
+        """Return the weighted sums (B, P) of costs, with the map's edge at its last width."""
         ...
 
     def costs(self, trajectories: Tensor) -> dict[str, Tensor]:
@@ -116,46 +128,94 @@ class DeviceTarget:
             gradient = gradient + weight * cost.evaluate(trajectories)[1]
         return gradient
 
+    def weighted_sum(self, trajectories: Tensor) -> Tensor:
+        """Return the weighted sums (B, P) of all costs, with the map's edge at its last width."""
+        total = self._costs.weighted_sum(trajectories)
+        for weight, cost in self._own.values():
+            total = total + weight * cost.evaluate(trajectories)[0]
+        return total
+
 
 MakeTarget = Callable[[Tables], DeviceTarget]
 """Map from the tables of a batch to its target."""
 
 
-def _iterations(
-    runs: Runs, latent: Tensor, target: DeviceTarget, inference: SVGDSettings, count: int
-) -> Tensor:
-    state = State(latent, inference.optimizer.init(latent), 0)
-    for _ in range(count):
-        state = iterate(runs, state, target, inference)
-    return state.particles
+class Work(Protocol):
+    """A run of particles on a device, which does not wait for it; a value that can be a key."""
+
+    def shortened(self, iterations: int) -> Work:
+        """Return a run of few iterations, which calls all that the whole one calls."""
+        ...
+
+    def __call__(
+        self, runs: Runs, latent: Tensor, target: DeviceTarget, generator: torch.Generator
+    ) -> Tensor:
+        """Return the particles (B, P, r) at the end of the run.
+
+        Args:
+            runs: the priors.
+            latent: (B, N, r) draws in whitened coordinates.
+            target: the costs.
+            generator: source of all randomness.
+        """
+        ...
 
 
-def descend(
+@dataclass(frozen=True)
+class Descent:
+    """The iterations of Algorithm 1.
+
+    Attributes:
+        inference: settings that whiten, with the number of iterations.
+    """
+
+    inference: SVGDSettings
+
+    def shortened(self, iterations: int) -> Descent:
+        """Return a run of few iterations."""
+        fewer = min(iterations, self.inference.iterations)
+        return Descent(replace(self.inference, iterations=fewer))
+
+    def __call__(
+        self, runs: Runs, latent: Tensor, target: DeviceTarget, generator: torch.Generator
+    ) -> Tensor:
+        """Return the particles (B, P, r) after the last iteration; nothing is drawn."""
+        state = State(latent, self.inference.optimizer.init(latent), 0)
+        for _ in range(self.inference.iterations):
+            state = iterate(runs, state, target, self.inference)
+        return state.particles
+
+
+def carry_out(
+    work: Work,
     runs: PathRuns,
     latent: Tensor,
     tables: Tables,
     target: MakeTarget,
-    inference: SVGDSettings,
+    seed: int,
     graphs: Graphs | None = None,
 ) -> Tensor:
-    """Return the particles (B, P, r) after the last iteration.
+    """Return the particles (B, P, r) at the end of a run.
 
     Args:
+        work: the run.
         runs: the priors.
-        latent: (B, P, r) whitened particles.
+        latent: (B, N, r) draws in whitened coordinates.
         tables: of the problems.
         target: of tables.
-        inference: settings that whiten.
+        seed: of what is drawn.
         graphs: recorded runs, on CUDA; None launches each operation by itself.
     """
     if graphs is None or latent.device.type != "cuda":
-        return _iterations(runs, latent, target(tables), inference, inference.iterations)
-    return graphs.run(runs, latent, tables, target, inference)
+        generator = torch.Generator(latent.device).manual_seed(seed)
+        return work(runs, latent, target(tables), generator)
+    return graphs.run(work, runs, latent, tables, target, seed)
 
 
 @dataclass(eq=False)
 class _Recorded:
     graph: torch.cuda.CUDAGraph
+    generator: torch.Generator
     inputs: list[Tensor]
     result: Tensor
     # What the graph reads must stay where it is.
@@ -164,60 +224,60 @@ class _Recorded:
 
 @dataclass(eq=False)
 class Graphs:
-    """Recorded runs of all iterations, one for each size of a batch and settings."""
+    """Recorded runs, one for each size of a batch and settings."""
 
     _recorded: dict[Any, _Recorded] = field(default_factory=dict)
 
     def run(
         self,
+        work: Work,
         runs: PathRuns,
         latent: Tensor,
         tables: Tables,
         target: MakeTarget,
-        inference: SVGDSettings,
+        seed: int,
     ) -> Tensor:
-        """Return the particles after the last iteration; records the run if it is new."""
+        """Return the particles at the end of a run; records it if it is new."""
         inputs = [latent, runs.mean, runs.factor, *_tensors(tables)]
         key = (
             tuple((t.shape, t.stride(), t.dtype, t.device) for t in inputs),
             _constants(tables),
-            inference,
+            work,
             target,
         )
         found = self._recorded.pop(key, None)
         if found is None:
-            found = _record(runs, latent, tables, target, inference)
+            found = _record(work, runs, latent, tables, target)
         else:
             for mine, given in zip(found.inputs, inputs, strict=True):
                 mine.copy_(given)
         self._recorded[key] = found
         while len(self._recorded) > _KEPT:
             self._recorded.pop(next(iter(self._recorded)))
+        found.generator.manual_seed(seed)
         found.graph.replay()
         return found.result.clone()
 
 
 def _record(
-    runs: PathRuns,
-    latent: Tensor,
-    tables: Tables,
-    target: MakeTarget,
-    inference: SVGDSettings,
+    work: Work, runs: PathRuns, latent: Tensor, tables: Tables, target: MakeTarget
 ) -> _Recorded:
     latent = latent.clone()
     runs = replace(runs, mean=runs.mean.clone(), factor=runs.factor.clone())
     tables = tables.clone()
     made = target(tables)
+    generator = torch.Generator(latent.device)
     stream = torch.cuda.Stream()
     stream.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(stream):
-        _iterations(runs, latent, made, inference, min(_WARM_UP, inference.iterations))
+        work.shortened(_WARM_UP)(runs, latent, made, generator)
     torch.cuda.current_stream().wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
+    graph.register_generator_state(generator)
     with torch.cuda.graph(graph):
-        result = _iterations(runs, latent, made, inference, inference.iterations)
+        result = work(runs, latent, made, generator)
     inputs = [latent, runs.mean, runs.factor, *_tensors(tables)]
-    return _Recorded(graph, inputs, result, (runs, tables, made))
+    return _Recorded(graph, generator, inputs, result, (runs, tables, made))
 
 
 def _tensors(value: Any) -> list[Tensor]:

@@ -79,12 +79,23 @@ class FusedCosts:
             self._tools(trajectories, total)
         return total
 
+    def weighted_sum(self, trajectories: Tensor) -> Tensor:
+        """Return the weighted sums (B, P) of costs, with the edge at its last width."""
+        weights = dict(zip(WEIGHTED, self.tables.weights, strict=True))
+        total = trajectories.new_zeros(trajectories.shape[:2])
+        for name, value in self._values(trajectories, self.tables.margin).items():
+            total = total + weights.get(name, 1.0) * value
+        return total
+
     def costs(self, trajectories: Tensor) -> dict[str, Tensor]:
         """Return the unweighted costs (B, P) by name, with the edge at its last width."""
+        return self._values(trajectories, 0.0)
+
+    def _values(self, trajectories: Tensor, margin: float) -> dict[str, Tensor]:
         parts = _parts(trajectories)
         values = trajectories.new_zeros((parts, len(WEIGHTED), *trajectories.shape[:3]))
         width = self.tables.edge_width[1]
-        self._collisions(trajectories, None, values, width, 0.0, parts)
+        self._collisions(trajectories, None, values, width, margin, parts)
         found = dict(zip(WEIGHTED, values.sum(0).sum(-1), strict=True))
         for name, tool in self.tables.tools.items():
             found[name] = tool_cost(self.tables, tool, trajectories)[0]

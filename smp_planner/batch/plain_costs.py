@@ -330,6 +330,10 @@ class PlainCosts:
         values, gradients = zip(*parts, strict=True)
         return torch.stack(values).sum(0), torch.stack(gradients).sum(0)
 
+    def weighted_sum(self, trajectories: Tensor) -> Tensor:
+        """Return the weighted sums (B, P) of costs, with the edge at its last width."""
+        return self.weighted(trajectories, self.tables.edge_width[1])[0]
+
     def costs(self, trajectories: Tensor) -> dict[str, Tensor]:
         """Return the unweighted costs (B, P) by name, with the edge at its last width."""
         found = self._costs(trajectories, self.tables.edge_width[1], 0.0)

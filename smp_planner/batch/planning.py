@@ -18,9 +18,18 @@ from torch import Tensor
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation.stein import SteinSettings, inference_of
 from smp_planner.batch.check import Gaps, path_gaps
-from smp_planner.batch.descent import BatchCosts, DeviceTarget, Graphs, PathRuns, descend
+from smp_planner.batch.descent import (
+    BatchCosts,
+    Descent,
+    DeviceTarget,
+    Graphs,
+    PathRuns,
+    Work,
+    carry_out,
+)
 from smp_planner.batch.plain_costs import PlainCosts, plain_gaps
 from smp_planner.batch.problem_tables import Tables, checked_device
+from smp_planner.batch.tempering import Tempering
 from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE, LIMIT_TOLERANCE
 from smp_planner.movement_primitives import ProMP, phases
@@ -29,7 +38,7 @@ from smp_planner.planning.own_costs import OwnCost
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["DevicePlanner", "Finished", "Targets"]
+__all__ = ["DevicePlanner", "Finished", "Targets", "run_of"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,17 @@ class Targets:
         """Return the target of a batch."""
         own = {name: (weight, cost) for name, weight, cost in self.own}
         return DeviceTarget(self.costs(tables), tables.edge_width, own, tables.steps)
+
+
+def run_of(settings: SteinSettings, count: int) -> Work:
+    """Return the run of particles that settings describe.
+
+    Args:
+        settings: that whiten.
+        count: of particles at the end, if they compete.
+    """
+    inference = inference_of(settings)
+    return Tempering(inference, count) if inference.competes else Descent(inference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,15 +148,19 @@ class DevicePlanner:
         latent: Tensor,
         settings: SteinSettings,
         own: Mapping[str, tuple[float, OwnCost]],
+        count: int | None = None,
+        seed: int = 0,
     ) -> Tensor:
-        """Return particles (B, P, r) in float64 after the last iteration.
+        """Return particles (B, P, r) in float64 at the end of a run.
 
         Args:
             tables: of B problems at the steps of planning.
             primitives: B priors, conditioned, of one basis and one rank.
-            latent: (B, P, r) whitened particles.
+            latent: (B, N, r) draws in whitened coordinates.
             settings: of Algorithm 1.
             own: costs of one's own by name, each with its weight.
+            count: P, how many of the draws become particles, if they compete; all by default.
+            seed: of what is drawn while they compete.
 
         Raises:
             ValueError: settings that only planning without a device knows, or a gradient that is
@@ -155,23 +179,26 @@ class DevicePlanner:
         mean = torch.stack([p.mean for p in primitives]).to(self.device)
         factor = torch.stack([p.factor for p in primitives]).to(self.device)
         runs = PathRuns.of_factors(primitives[0].basis, mean, factor, tables.steps, self.dtype)
-        return self.descend(runs, latent, tables, inference, own).cpu().double()
+        work = run_of(settings, latent.shape[1] if count is None else count)
+        return self.carry_out(work, runs, latent, tables, own, seed).cpu().double()
 
-    def descend(
+    def carry_out(
         self,
+        work: Work,
         runs: PathRuns,
         latent: Tensor,
         tables: Tables,
-        inference: Any,
         own: Mapping[str, tuple[float, OwnCost]],
+        seed: int = 0,
     ) -> Tensor:
-        """Return particles (B, P, r) on the device after the last iteration."""
-        found = descend(
+        """Return particles (B, P, r) on the device at the end of a run."""
+        found = carry_out(
+            work,
             runs,
             latent.to(self.device, self.dtype),
             tables,
             self.targets(own),
-            inference,
+            seed,
             self._graphs if self.graph else None,
         )
         if not bool(torch.isfinite(found).all()):

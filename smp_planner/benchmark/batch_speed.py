@@ -18,10 +18,10 @@ from torch import Tensor
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.atomic_files import replacing
-from smp_planner.adaptation.stein import SteinSettings, inference_of
+from smp_planner.adaptation.stein import SteinSettings
 from smp_planner.batch.descent import PathRuns
 from smp_planner.batch.plain_costs import PlainCosts
-from smp_planner.batch.planning import DevicePlanner
+from smp_planner.batch.planning import DevicePlanner, run_of
 from smp_planner.batch.problem_tables import Tables
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.assessment import assess
@@ -51,7 +51,7 @@ class Batch:
         problems: B problems.
         mean: (B, K*D) of the conditioned primitives.
         factor: (B, K*D, r).
-        latent: (B, P, r) whitened particles.
+        latent: (B, N, r) draws in whitened coordinates, of which P become particles.
         seconds: how long conditioning took, on the processor.
     """
 
@@ -128,9 +128,12 @@ def read_problems(path: Path, count: int | None = None) -> tuple[PlannerPolicy, 
 
 def make_batch(planner: PrimitivePlanner, problems: Sequence[Problem]) -> Batch:
     """Return the batch of problems; each must leave one part, as those of one component do."""
+    settings, stein = planner.plan_settings, planner.adaptation.settings
+    assert isinstance(stein, SteinSettings)
+    drawn = settings.model_copy(update={"particles": stein.overdraw * settings.particles})
     begin = time.perf_counter()
     with one_thread():
-        parts = [conditioned_parts(planner.prior, p, planner.plan_settings) for p in problems]
+        parts = [conditioned_parts(planner.prior, p, drawn) for p in problems]
     seconds = time.perf_counter() - begin
     if any(len(part) > 1 for part in parts):
         raise ValueError("problems must be of a task whose prior has one component")
@@ -191,13 +194,13 @@ def plan_rows(
             _synchronized(where)
             packing = time.perf_counter() - begin
             runs = part.runs(tables.steps, where)
-            inference = inference_of(stein)
+            run = run_of(stein, settings.particles)
             if where.type == "cuda":
                 torch.cuda.reset_peak_memory_stats(where)
             found = [part.latent]
 
             def descend() -> None:
-                found[0] = work.descend(runs, part.latent, tables, inference, {})  # noqa: B023
+                found[0] = work.carry_out(run, runs, part.latent, tables, {})  # noqa: B023
 
             cold, warm = _seconds(descend, where, repeats)
             weights = part.weights(found[0])
@@ -259,7 +262,8 @@ def iteration_rows(
         part = batch.first(size)
         tables = work.tables(part.problems, settings, settings.planning_steps)
         runs = part.runs(tables.steps, where)
-        q = runs.trajectories(part.latent.to(where, torch.float32)).contiguous()
+        particles = part.latent[:, : settings.particles].to(where, torch.float32)
+        q = runs.latent_trajectories(particles).contiguous()
         for width in settings.edge_width:
             found = {}
             for name, gradient in _gradients(tables, size <= naive, where).items():
@@ -320,7 +324,8 @@ def write_particles(batch: Batch, device: str, count: int, path: Path) -> FloatA
     assert isinstance(stein, SteinSettings)
     tables = work.tables(part.problems, settings, settings.planning_steps)
     runs = part.runs(tables.steps, work.device)
-    latent = work.descend(runs, part.latent, tables, inference_of(stein), {})
+    run = run_of(stein, settings.particles)
+    latent = work.carry_out(run, runs, part.latent, tables, {})
     weights = part.weights(latent).float()
     primitive = batch.planner.prior.single
     finished = work.finish(part.problems, weights.double(), primitive, settings, {}, tables)

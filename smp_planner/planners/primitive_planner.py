@@ -103,8 +103,8 @@ class PrimitivePlanner:
         On a device all problems are planned at once, in float32 and with the exact distance to
         obstacles in place of a map. So numbers differ from those without a device, and a little
         from batch to batch. "cpu" is the reference of "cuda": without a device it goes faster.
-        Particles do not compete on a device: of "tempered", there is neither a choice of draws nor
-        resampling, nor are there moves at the end.
+        On a device particles of "tempered" compete with those of the same part of the prior alone,
+        and what is drawn meanwhile depends on all problems of the batch.
 
         Args:
             problems: to be solved; on a device, at least one, all of one robot and one task.

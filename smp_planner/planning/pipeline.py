@@ -302,7 +302,7 @@ def plan_problems(
     attempts = [_Attempt(problem) for problem in problems]
     tries = settings.retries + 1 if adaptation.adapt is not None else 1
     wanted = settings
-    if device is None and _competes(adaptation):
+    if _competes(adaptation):
         overdraw = adaptation.settings.overdraw  # type: ignore[attr-defined]
         wanted = settings.model_copy(update={"particles": overdraw * settings.particles})
     with Threads(default_threads() if threads is None else threads) as pool, one_thread():
@@ -521,9 +521,11 @@ def _on_device(
             tables = device.tables(problems, settings, settings.planning_steps)
         groups: dict[tuple[int, ...], list[tuple[int, int]]] = {}
         for number, attempt in enumerate(attempts):
-            for index, part in enumerate(attempt.parts):
-                groups.setdefault(tuple(part.latent.shape), []).append((number, index))
-        for group in groups.values():
+            # Particles compete with those of their own part alone.
+            counts = shared_out(settings.particles, [float(len(p.latent)) for p in attempt.parts])
+            for index, (part, count) in enumerate(zip(attempt.parts, counts, strict=True)):
+                groups.setdefault((count, *part.latent.shape), []).append((number, index))
+        for (count, *_), group in groups.items():
             parts = [attempts[number].parts[index] for number, index in group]
             numbers = [number for number, _ in group]
             with _shared("inference", [(attempts[n], 1.0 / len(group)) for n in numbers]):
@@ -533,6 +535,8 @@ def _on_device(
                     torch.stack([part.latent for part in parts]),
                     adaptation.settings,
                     own,
+                    count,
+                    _seed_of([problems[number].seed for number in numbers]),
                 )
             for (number, index), part, latent in zip(group, parts, adapted, strict=True):
                 attempts[number].parts[index] = replace(part, latent=latent)
@@ -543,6 +547,11 @@ def _on_device(
         _plan_of(attempt, prior, settings, finished=finished)
         for attempt, finished in zip(attempts, found, strict=True)
     ]
+
+
+def _seed_of(seeds: Sequence[int]) -> int:
+    """Return the seed of what is drawn for problems together, from the seeds of all."""
+    return int(np.random.SeedSequence([*seeds, 3]).generate_state(1)[0])
 
 
 @contextmanager
