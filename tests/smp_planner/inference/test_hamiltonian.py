@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from smp_planner.inference.hamiltonian import Evaluated, hamiltonian_moves
 
@@ -82,3 +83,32 @@ def test_a_flow_that_diverges_is_refused_and_shortened():
     expected = (line**2 * density).sum() / density.sum()
     # 1500 draws, whose squares spread by about as much as their mean.
     assert np.mean(kept.particles**2) == pytest.approx(expected, rel=0.15)
+
+
+class TorchDraws:
+    """The numbers of one of NumPy's generators, as tensors."""
+
+    def __init__(self, seed):
+        self.rng = np.random.default_rng(seed)
+
+    def standard_normal(self, size):
+        return torch.from_numpy(self.rng.standard_normal(tuple(size)))
+
+    def uniform(self, low, high, size):
+        return torch.from_numpy(self.rng.uniform(low, high, tuple(size)))
+
+
+def test_tensors_move_as_arrays_do():
+    start = _start(np.random.default_rng(2).standard_normal((50, 12)))
+
+    def observed(z):
+        return tuple(torch.from_numpy(part) for part in _observed(z.numpy()))
+
+    settings = {"moves": 6, "leapfrogs": 3, "step": 0.2}
+    expected, shares = hamiltonian_moves(start, _observed, np.random.default_rng(3), **settings)
+    tensors = Evaluated(*(torch.from_numpy(part) for part in start))
+    found, same = hamiltonian_moves(tensors, observed, TorchDraws(3), **settings)
+    np.testing.assert_allclose(found.particles, expected.particles)
+    np.testing.assert_allclose(found.value, expected.value)
+    np.testing.assert_allclose(same, shares)
+    assert 0.0 < shares.mean() < 1.0
