@@ -19,7 +19,7 @@ from torch import Tensor
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.atomic_files import replacing
 from smp_planner.adaptation.stein import SteinSettings
-from smp_planner.batch.descent import PathRuns
+from smp_planner.batch.descent import PathRuns, Work
 from smp_planner.batch.plain_costs import PlainCosts
 from smp_planner.batch.planning import DevicePlanner, run_of
 from smp_planner.batch.problem_tables import Tables
@@ -44,14 +44,16 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Problems with conditioned particles, ready to be adapted on a device.
+    """Problems with draws of their conditioned primitives, ready to be adapted on a device.
+
+    Each problem has K parts with equally many draws, which are runs of their own.
 
     Attributes:
         planner: what learned the prior.
         problems: B problems.
-        mean: (B, K*D) of the conditioned primitives.
-        factor: (B, K*D, r).
-        latent: (B, N, r) draws in whitened coordinates, of which P become particles.
+        mean: (B*K, W) of the conditioned primitives' weights, problem by problem.
+        factor: (B*K, W, r).
+        latent: (B*K, N, r) draws in whitened coordinates.
         seconds: how long conditioning took, on the processor.
     """
 
@@ -62,14 +64,27 @@ class Batch:
     latent: Tensor
     seconds: float
 
+    @property
+    def parts(self) -> int:
+        """K."""
+        return len(self.mean) // len(self.problems)
+
+    @property
+    def run(self) -> Work:
+        """The run of particles that the planner's settings describe."""
+        settings = self.planner.adaptation.settings
+        assert isinstance(settings, SteinSettings)
+        return run_of(settings, self.planner.plan_settings.particles // self.parts)
+
     def first(self, count: int) -> Batch:
         """Return the first problems."""
+        runs = count * self.parts
         return Batch(
             self.planner,
             self.problems[:count],
-            self.mean[:count],
-            self.factor[:count],
-            self.latent[:count],
+            self.mean[:runs],
+            self.factor[:runs],
+            self.latent[:runs],
             self.seconds * count / len(self.problems),
         )
 
@@ -79,11 +94,16 @@ class Batch:
         mean, factor = self.mean.to(device), self.factor.to(device)
         return PathRuns.of_factors(basis, mean, factor, steps, torch.float32)
 
+    def tables_of(self, tables: Tables) -> Tables:
+        """Return the tables of each run, from those of the problems."""
+        return tables.of_problems([n for n in range(len(self.problems)) for _ in range(self.parts)])
+
     def weights(self, latent: Tensor) -> Tensor:
-        """Return the weights (B, P, K*D), float64, of whitened particles (B, P, r)."""
+        """Return the weights (B, P, W), float64, of whitened particles (B*K, P/K, r)."""
         device = latent.device
         factor = self.factor.to(device)
-        return self.mean.to(device)[:, None] + latent.double() @ factor.mT
+        weights = self.mean.to(device)[:, None] + latent.double() @ factor.mT
+        return weights.unflatten(0, (-1, self.parts)).flatten(1, 2)
 
 
 def prepare(task: str, difficulty: str, count: int, first_seed: int, path: Path) -> None:
@@ -127,7 +147,7 @@ def read_problems(path: Path, count: int | None = None) -> tuple[PlannerPolicy, 
 
 
 def make_batch(planner: PrimitivePlanner, problems: Sequence[Problem]) -> Batch:
-    """Return the batch of problems; each must leave one part, as those of one component do."""
+    """Return the batch of problems, whose draws must be shared out evenly among their parts."""
     settings, stein = planner.plan_settings, planner.adaptation.settings
     assert isinstance(stein, SteinSettings)
     drawn = settings.model_copy(update={"particles": stein.overdraw * settings.particles})
@@ -135,15 +155,16 @@ def make_batch(planner: PrimitivePlanner, problems: Sequence[Problem]) -> Batch:
     with one_thread():
         parts = [conditioned_parts(planner.prior, p, drawn) for p in problems]
     seconds = time.perf_counter() - begin
-    if any(len(part) > 1 for part in parts):
-        raise ValueError("problems must be of a task whose prior has one component")
-    alone = [part[0] for part in parts]
+    count = len(parts[0])
+    runs = [part for of_problem in parts for part in of_problem]
+    if len({part.latent.shape for part in runs}) > 1 or settings.particles % count:
+        raise ValueError("problems must be of a task whose parts have equally many particles")
     return Batch(
         planner,
         list(problems),
-        torch.stack([part.primitive.mean for part in alone]),
-        torch.stack([part.primitive.factor for part in alone]),
-        torch.stack([part.latent for part in alone]),
+        torch.stack([part.primitive.mean for part in runs]),
+        torch.stack([part.primitive.factor for part in runs]),
+        torch.stack([part.latent for part in runs]),
         seconds,
     )
 
@@ -181,8 +202,7 @@ def plan_rows(
         repeats: of each warm measurement.
         plans: largest B for which whole plans are timed, conditioning and all.
     """
-    settings, stein = batch.planner.plan_settings, batch.planner.adaptation.settings
-    assert isinstance(stein, SteinSettings)
+    settings = batch.planner.plan_settings
     where = DevicePlanner.of(device).device
     for graph in (True, False) if where.type == "cuda" else (False,):
         work = DevicePlanner.of(device)
@@ -193,14 +213,13 @@ def plan_rows(
             tables = work.tables(part.problems, settings, settings.planning_steps)
             _synchronized(where)
             packing = time.perf_counter() - begin
-            runs = part.runs(tables.steps, where)
-            run = run_of(stein, settings.particles)
+            runs, of_runs = part.runs(tables.steps, where), part.tables_of(tables)
             if where.type == "cuda":
                 torch.cuda.reset_peak_memory_stats(where)
             found = [part.latent]
 
             def descend() -> None:
-                found[0] = work.carry_out(run, runs, part.latent, tables, {})  # noqa: B023
+                found[0] = work.carry_out(part.run, runs, part.latent, of_runs, {})  # noqa: B023
 
             cold, warm = _seconds(descend, where, repeats)
             weights = part.weights(found[0])
@@ -262,8 +281,9 @@ def iteration_rows(
         part = batch.first(size)
         tables = work.tables(part.problems, settings, settings.planning_steps)
         runs = part.runs(tables.steps, where)
-        particles = part.latent[:, : settings.particles].to(where, torch.float32)
-        q = runs.latent_trajectories(particles).contiguous()
+        particles = part.latent[:, : settings.particles // part.parts].to(where, torch.float32)
+        paths = runs.latent_trajectories(particles)
+        q = paths.unflatten(0, (-1, part.parts)).flatten(1, 2).contiguous()
         for width in settings.edge_width:
             found = {}
             for name, gradient in _gradients(tables, size <= naive, where).items():
@@ -320,12 +340,10 @@ def write_particles(batch: Batch, device: str, count: int, path: Path) -> FloatA
         path: of the `.npz` file, weights in float32.
     """
     part, work = batch.first(count), DevicePlanner.of(device)
-    settings, stein = batch.planner.plan_settings, batch.planner.adaptation.settings
-    assert isinstance(stein, SteinSettings)
+    settings = batch.planner.plan_settings
     tables = work.tables(part.problems, settings, settings.planning_steps)
     runs = part.runs(tables.steps, work.device)
-    run = run_of(stein, settings.particles)
-    latent = work.carry_out(run, runs, part.latent, tables, {})
+    latent = work.carry_out(part.run, runs, part.latent, part.tables_of(tables), {})
     weights = part.weights(latent).float()
     primitive = batch.planner.prior.single
     finished = work.finish(part.problems, weights.double(), primitive, settings, {}, tables)
