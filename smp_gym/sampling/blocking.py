@@ -23,7 +23,7 @@ from smp_gym.sampling.family import Family, draw_family, member, with_neighbours
 from smp_gym.sampling.grid import GRID_SHAPE, points, within
 from smp_gym.sampling.obstacles import START_CLEARANCE, draw_candidates, fits, fitted, vary
 from smp_gym.sampling.specification import DifficultySpecification
-from smp_gym.sampling.transfer import Query, Transfer, carry
+from smp_gym.sampling.transfer import Query, carry
 from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness
 from smp_gym.scene import SHAPES
 
@@ -175,8 +175,7 @@ def _draw_witnesses(
         for index in rng.permutation(np.flatnonzero(able))[:_MAX_LOOKED_AT]:
             left = places & ~within(family.paths[index], family.radius, clearance + _LEAST_HALF)
             if crowd and any(
-                earlier.shares(earlier.free & ~earlier.passing(left))[0] > _UNBLOCKED
-                for earlier in families[: number + 1]
+                of.share_past(left) > _UNBLOCKED for of in reversed(families[: number + 1])
             ):
                 continue
             trajectory = member(query.transfer, family, int(index))
@@ -208,20 +207,18 @@ def _enclose(
     rng: np.random.Generator,
 ) -> FloatArray | None:
     """Return others (K, 9) and obstacles around witnesses, (M, 9); None if too much stays free."""
-    kept = [witness.trajectory for witness in witnesses]
+    kept = [queries[0].transfer.looks(witness.trajectory) for witness in witnesses]
     together = others
     for query, family, witness in zip(queries, families, witnesses, strict=True):
-        transfer = query.transfer
 
-        def useful(
-            rows: FloatArray, transfer: Transfer = transfer, together: FloatArray = together
-        ) -> BoolArray:
+        def useful(rows: FloatArray, together: FloatArray = together) -> BoolArray:
             beside: BoolArray = np.asarray(apart(rows, together).all(axis=1))
-            beside[beside] = transfer.kept_clear(kept, rows[beside], specification.clearance)
+            for looks in kept:
+                beside[beside] = looks.clear(rows[beside], specification.clearance)
             return beside
 
         if specification.obstacles:
-            family = with_neighbours(transfer, family, witness.index, rng)
+            family = with_neighbours(query.transfer, family, witness.index, rng)
         rows = _choose(query, specification, family, together, useful, rng)
         if rows is None:
             return None
@@ -251,10 +248,10 @@ def block(
     """
     transfer = query.transfer
     family = draw_family(query, transfer.proposals, 0, rng)
-    end = carry(transfer, query.release, WITNESS_SAMPLES).mean(axis=0)[-1:]
+    end = transfer.swept_path(carry(transfer, query.release, WITNESS_SAMPLES).mean(axis=0)[-1:])
 
     def useful(rows: FloatArray) -> BoolArray:
-        clear = transfer.clearances(end, rows, START_CLEARANCE) >= START_CLEARANCE
+        clear = end.clear(rows, START_CLEARANCE)
         return np.asarray(clear & apart(rows, others).all(axis=1))
 
     rows = _choose(query, specification, family, others, useful, rng)

@@ -162,6 +162,7 @@ def _fill(
 ) -> FloatArray | None:
     """Return (M, 9) rows that leave witnesses (W, 6) clear; None if there is no room for all."""
     transfer, clearance = query.transfer, specification.clearance
+    kept = [transfer.looks(witness) for witness in witnesses]
     chosen = _NO_ROWS
     # What is blocked already still counts a little: its neighbours, which were not drawn, do too.
     weight = family.free * REPEATED ** family.blocked(others).sum(axis=0)
@@ -171,7 +172,8 @@ def _fill(
         rows, first, hangs = _draw_stacks(_near_hand(query, family, weight >= 1.0, rng), rng)
         counts = np.diff(first, append=len(rows))
         good = fits(query, rows) & ~_overlap(rows, np.concatenate([others, chosen])).any(axis=1)
-        good[good] = transfer.kept_clear(witnesses, rows[good], clearance)
+        for looks in kept:
+            good[good] = looks.clear(rows[good], clearance)
         possible = np.logical_and.reduceat(good, first)
         blocks = np.logical_or.reduceat(family.near(rows, -_GRID_DEPTH), first)
         goal = round(share * specification.solids)

@@ -181,8 +181,8 @@ def _among(movement: Movement, clear: IntArray, rows: FloatArray, clearance: flo
     able[clear] = True
 
     def holds(trajectory: FloatArray) -> bool:
-        margins = movement.body.clearances(trajectory, rows, clearance)
-        return bool((margins >= clearance).all()) and movement.holds(trajectory)
+        clear = movement.body.swept_path(trajectory).clear(rows, clearance).all()
+        return bool(clear) and movement.holds(trajectory)
 
     return replace(movement, able=able, holds=holds)
 

@@ -82,9 +82,11 @@ class Family:
             [near(grid, rows, distance, members) for grid, members in self.grids], axis=1
         )
 
-    def passing(self, cells: BoolArray) -> BoolArray:
-        """Return a mask (N,) of members that pass some of the grid's points (X, Y, Z)."""
-        return np.concatenate([passing(grid, cells, members) for grid, members in self.grids])
+    def share_past(self, cells: BoolArray) -> float:
+        """Return the share of the free proposals that pass none of the grid's points (X, Y, Z)."""
+        free = self.free[: self.proposals]
+        past = free & ~passing(self.grids[0][0], cells, self.proposals)
+        return float(past.sum() / max(1, free.sum()))
 
     def blocked(self, rows: FloatArray) -> BoolArray:
         """Return a mask (C, N) of members that obstacles block, checked without the grid."""

@@ -23,6 +23,7 @@ from smp_gym.sampling.draws import Draw
 from smp_gym.sampling.family import BLOCKING_DEPTH, Family, draw_family, member
 from smp_gym.sampling.furniture import Passage, draw_furniture
 from smp_gym.sampling.obstacles import START_CLEARANCE
+from smp_gym.sampling.swept_path import SweptPath
 from smp_gym.sampling.transfer import Query, Transfer
 from smp_gym.sampling.witness import WITNESS_SAMPLES, is_witness, within_limits
 from smp_gym.scene import Goal
@@ -281,23 +282,22 @@ def furnish(
     transfer = replace(query.transfer, samples=_MEMBER_SAMPLES)
     query = replace(query, transfer=transfer)
     points = _points_of(query.goals)
+    goals = SweptPath.of(points, np.zeros(points.shape[1]))
     fingers, finger_radius = _opened(query)
+    hand = SweptPath.of(fingers[None], finger_radius)
     others = np.empty((0, kernels.OBSTACLE_COLUMNS)) if before is None else before.rows
-    other = None if before is None else before.witness
+    first = None if before is None else before.witness
+    other = None if first is None else transfer.swept_path(first)
 
     def fits(rows: FloatArray, insertion: FloatArray) -> bool:
-        at_goals = kernels.path_clearances(points, np.zeros(points.shape[1]), rows, 1.0).min()
-        opened = kernels.path_clearances(fingers[None], finger_radius, rows, 1.0).min()
-        kept: list[tuple[FloatArray, float]] = [
-            (transfer.start[None], START_CLEARANCE),
-            (insertion, tightness.clearance),
-        ]
+        at_goals = goals.clear(rows, _GOAL_BODY_CLEARANCE).all()
+        opened = hand.clear(rows, tightness.clearance).all()
+        kept = [(transfer.at_start, START_CLEARANCE)]
+        kept.append((transfer.swept_path(insertion), tightness.clearance))
         if other is not None:
             kept.append((other, tightness.clearance))
-        free = at_goals >= _GOAL_BODY_CLEARANCE and opened >= tightness.clearance
-        return bool(free) and all(
-            transfer.clearances(trajectory, rows, least).min() >= least
-            for trajectory, least in kept
+        return bool(at_goals and opened) and all(
+            path.clear(rows, least).all() for path, least in kept
         )
 
     share = _FREE_SHARE_OF_BOX if kind == "box" else _FREE_SHARE
@@ -323,7 +323,7 @@ def furnish(
         found = _lead_to(insertion, query, np.concatenate([others, rows]), tightness, rng)
         if found is not None:
             together = np.concatenate([others, rows])
-            return Draw(transfer.start, query.goals, together, found if other is None else other)
+            return Draw(transfer.start, query.goals, together, found if first is None else first)
     return None
 
 

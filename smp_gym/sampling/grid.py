@@ -73,22 +73,29 @@ def within(path: FloatArray, radius: FloatArray, distance: float) -> BoolArray:
 
 
 def passing(grid: Grid, cells: BoolArray, members: int) -> BoolArray:
-    """Return a mask (members,) of paths that pass some of the grid's points, given as (X, Y, Z)."""
-    words = _united(grid.words, cells)
+    """Return a mask (members,) of the first paths: which pass some of the points (X, Y, Z)."""
+    words = _united(grid.words, cells, -(-members // 64))
     flags = np.unpackbits(words.view(np.uint8), bitorder="little")[:members]
     return flags.astype(np.bool_)
 
 
 @kernel
-def _united(words: NDArray[np.uint64], cells: BoolArray) -> NDArray[np.uint64]:
-    out = np.zeros(words.shape[4], np.uint64)
+def _united(words: NDArray[np.uint64], cells: BoolArray, count: int) -> NDArray[np.uint64]:
+    out = np.zeros(count, np.uint64)
     for i in range(words.shape[1]):
         for j in range(words.shape[2]):
             for k in range(words.shape[3]):
                 if cells[i, j, k]:
-                    for w in range(len(out)):
+                    for w in range(count):
                         out[w] |= words[0, i, j, k, w] | words[1, i, j, k, w]
     return out
+
+
+@kernel
+def _squared(index: int, first: float, spacing: float, value: float) -> float:
+    """Return the squared distance of a value from one of the grid's along an axis."""
+    apart = first + index * spacing - value
+    return float(apart * apart)
 
 
 @kernel
@@ -112,10 +119,15 @@ def _within(
                 dx = origin[0] + i * spacing - path[t, s, 0]
                 for j in range(low[1], high[1]):
                     dy = origin[1] + j * spacing - path[t, s, 1]
-                    for k in range(low[2], high[2]):
-                        dz = origin[2] + k * spacing - path[t, s, 2]
-                        if dx * dx + dy * dy + dz * dz <= reach[s] * reach[s]:
-                            out[i, j, k] = True
+                    flat = dx * dx + dy * dy
+                    limit = reach[s] * reach[s]
+                    # What lies within is one piece of the column.
+                    z, first, last = path[t, s, 2], low[2], high[2]
+                    while first < last and flat + _squared(first, origin[2], spacing, z) > limit:
+                        first += 1
+                    while first < last and flat + _squared(last - 1, origin[2], spacing, z) > limit:
+                        last -= 1
+                    out[i, j, first:last] = True
     return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,31 @@ from numpy.typing import NDArray
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.robot.forward_kernels import sphere_paths
-from smp_gym.sampling import kernels
+from smp_gym.sampling.swept_path import SweptPath
 
-__all__ = ["MovingBody"]
+__all__ = ["Looks", "MovingBody"]
 _Body = TypeVar("_Body", bound="MovingBody")
 
 _GLANCE = 8
 """Every so-many-th sample of a trajectory is looked at first."""
+
+
+class Looks(NamedTuple):
+    """A path, and few samples of it: a glance at them spares the close look at most obstacles.
+
+    Attributes:
+        glance: the few samples.
+        whole: all.
+    """
+
+    glance: SweptPath
+    whole: SweptPath
+
+    def clear(self, rows: FloatArray, clearance: float) -> BoolArray:
+        """Return a mask (M,) of obstacles that keep a clearance (m) from the path."""
+        clear = self.glance.clear(rows, clearance)
+        clear[clear] = self.whole.clear(rows[clear], clearance)
+        return clear
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,19 +97,13 @@ class MovingBody:
         )
         return centers.reshape(*trajectories.shape[:-1], len(link), 3)
 
-    def kept_clear(
-        self, trajectories: list[FloatArray], rows: FloatArray, clearance: float
-    ) -> BoolArray:
-        """Return a mask (M,) of obstacles that keep a clearance (m) from trajectories (T, 6)."""
-        clear = np.ones(len(rows), np.bool_)
-        for trajectory in trajectories:
-            # A glance at few samples spares the close look at most.
-            for samples in (trajectory[::_GLANCE], trajectory):
-                clear[clear] = self.clearances(samples, rows[clear], clearance) >= clearance
-        return clear
+    def swept_path(
+        self, trajectory: FloatArray, which: NDArray[np.int64] | None = None
+    ) -> SweptPath:
+        """Return the path of the body's spheres (all, or the given) on a trajectory (T, 6)."""
+        radius = self.spheres.radius if which is None else self.spheres.radius[which]
+        return SweptPath.of(self.paths(trajectory, which), radius)
 
-    def clearances(self, trajectory: FloatArray, rows: FloatArray, enough: float) -> FloatArray:
-        """Return the distance (M,) m of obstacles to a trajectory (T, 6), at most `enough`."""
-        path, radius = self.paths(trajectory), self.spheres.radius
-        distances: FloatArray = kernels.path_clearances(path, radius, rows, enough)
-        return distances
+    def looks(self, trajectory: FloatArray, stride: int = _GLANCE) -> Looks:
+        """Return what is looked at of a trajectory (T, 6): every so-many-th sample, then all."""
+        return Looks(self.swept_path(trajectory[::stride]), self.swept_path(trajectory))

@@ -90,6 +90,5 @@ def fits(query: Query, rows: FloatArray) -> BoolArray:
     for goal in query.goals:
         aside = np.abs(rows[:, 1:3] - np.asarray(goal.position[:2])).max(axis=1)
         fits &= aside >= to_solid_row(goal)[6] + transfer.goal_clearance + width
-    start = transfer.start[None]
-    fits &= transfer.clearances(start, rows, START_CLEARANCE) >= START_CLEARANCE
+    fits[fits] = transfer.at_start.clear(rows[fits], START_CLEARANCE)
     return fits

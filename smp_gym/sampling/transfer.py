@@ -15,6 +15,7 @@ from smp_gym.robot import kinematics
 from smp_gym.sampling.blind_detours import FUNCTIONS, load_blind_detours
 from smp_gym.sampling.detours import resample, smoothstep
 from smp_gym.sampling.moving_body import MovingBody
+from smp_gym.sampling.swept_path import SweptPath
 from smp_gym.scene import Configuration, Goal, ManipulatedObject
 
 __all__ = ["Query", "Transfer", "carry", "make_transfer", "release_configuration"]
@@ -54,6 +55,11 @@ class Transfer(MovingBody):
         if self.blind_side is None:
             return np.empty((0, FUNCTIONS, 6))
         return load_blind_detours(*self.blind_side)
+
+    @cached_property
+    def at_start(self) -> SweptPath:
+        """The body at the start."""
+        return self.swept_path(self.start[None])
 
     @property
     def counts(self) -> tuple[int, int]:

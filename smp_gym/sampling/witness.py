@@ -8,6 +8,7 @@ from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.robot import kinematics
 from smp_gym.sampling import kernels
 from smp_gym.sampling.moving_body import MovingBody
+from smp_gym.sampling.swept_path import SweptPath
 
 __all__ = ["FIXTURE_CLEARANCE", "WITNESS_SAMPLES", "is_witness", "within_limits"]
 
@@ -62,12 +63,10 @@ def is_witness(
         return False
     path = body.paths(trajectory)
     radius = body.spheres.radius
-    if (kernels.path_clearances(path, radius, rows, clearance) < clearance).any():
+    if not SweptPath.of(path, radius).clear(rows, clearance).all():
         return False
     # The arm's base stands on the table: only the moving spheres have to keep clear of it.
-    moving = np.ascontiguousarray(path[:, body.moving])
-    enough = FIXTURE_CLEARANCE
-    margins = kernels.path_clearances(moving, radius[body.moving], bodies, enough)
-    if (margins < enough).any():
+    moving = SweptPath.of(path[:, body.moving], radius[body.moving])
+    if not moving.clear(bodies, FIXTURE_CLEARANCE).all():
         return False
     return bool(kernels.clear_of_itself(path, radius, body.pairs, _SELF_CLEARANCE))

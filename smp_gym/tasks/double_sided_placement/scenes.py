@@ -132,7 +132,7 @@ def _closed_off(
     assert drawn.witness is not None
     rows = _stopper(second.goal, rng)
     enough = max(clearance, START_CLEARANCE)
-    if first.transfer.clearances(drawn.witness, rows, 1.0).min() < enough:
+    if not first.transfer.swept_path(drawn.witness).clear(rows, enough).all():
         return None
     return replace(drawn, rows=np.concatenate([drawn.rows, rows]))
 

@@ -26,6 +26,7 @@ from smp_gym.sampling.family import BLOCKING_DEPTH
 from smp_gym.sampling.grid import Grid, near, rasterise
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.specification import DifficultySpecification
+from smp_gym.sampling.swept_path import SweptPath
 from smp_gym.sampling.witness import is_witness, within_limits
 from smp_gym.scene import SHAPES, TABLE, Goal
 from smp_gym.tasks.draw_s import rules as draw_s
@@ -84,6 +85,9 @@ _LEAST_DEMANDED = 13
 _SLACK = 0.005
 """Metres added to the clearance where only every other sample of a witness is looked at."""
 
+_GLANCE = 10
+"""Every so-many-th of these samples is looked at first."""
+
 _MAX_BUMPS = 16
 _MAX_WITNESSES = 12
 """Most attempts at a bump, and at a witness for a stroke."""
@@ -126,8 +130,7 @@ def _draw_rows(
     rows = rows[kept]
     ends = kernels.point_distances(stroke.checkpoints[[0, -1]], rows)
     rows = rows[ends.min(axis=1) >= _END_DISTANCE]
-    clear = body.clearances(stroke.trajectory[:1], rows, _START_CLEARANCE)
-    return rows[clear >= _START_CLEARANCE]
+    return rows[body.swept_path(stroke.trajectory[:1]).clear(rows, _START_CLEARANCE)]
 
 
 def _draw_on_stroke(
@@ -137,8 +140,8 @@ def _draw_on_stroke(
     reach = 0.4 * BUMP_HALF_WIDTH[0]
     phase = center + rng.uniform(-reach, reach, len(aside))
     rows = _draw_rows(body, stroke, phase, aside, _OFF_STROKE[0], rng)
-    line, thin = stroke.line[::2, None], np.full(1, kinematics.PEN_RADIUS)
-    return rows[kernels.path_clearances(line, thin, rows, 1.0) <= -_LEAST_ENTRY]
+    line = SweptPath.of(stroke.line[::2, None], np.full(1, kinematics.PEN_RADIUS))
+    return rows[line.clearances(rows, 1.0) <= -_LEAST_ENTRY]
 
 
 def _draw_beside(
@@ -154,8 +157,8 @@ def _missed(stroke: Stroke, trajectory: FloatArray) -> BoolArray:
     points = np.zeros((len(stroke.checkpoints), kernels.OBSTACLE_COLUMNS))
     points[:, 0] = SHAPES.index("sphere")
     points[:, 1:4] = stroke.checkpoints
-    distance = kernels.path_clearances(tip_path(trajectory), np.zeros(1), points, 1.0)
-    return np.asarray(distance > _PASSED_DISTANCE)
+    tip = SweptPath.of(tip_path(trajectory), np.zeros(1))
+    return np.asarray(tip.clearances(points, 1.0) > _PASSED_DISTANCE)
 
 
 def _covered(stroke: Stroke, rows: FloatArray) -> BoolArray:
@@ -168,11 +171,7 @@ def _keeps_clear(
     body: MovingBody, trajectory: FloatArray, rows: FloatArray, enough: float
 ) -> BoolArray:
     """Return a mask (M,) of obstacles that every other sample of a trajectory clears."""
-    kept = np.ones(len(rows), np.bool_)
-    # A glance at few samples spares the close look at most.
-    for stride in (20, 2):
-        kept[kept] = body.clearances(trajectory[::stride], rows[kept], enough) >= enough
-    return kept
+    return body.looks(trajectory[::2], _GLANCE).clear(rows, enough)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +344,7 @@ def _place(difficulty: str, rng: np.random.Generator) -> Draw | None:
     numbers = [*range(bumps), -1]
     bump = np.repeat(numbers, [len(part) for part in (*parts, beside)])
     # Every trajectory ends where this one does.
-    clear = body.clearances(stroke.trajectory[-1:], rows, _START_CLEARANCE) >= _START_CLEARANCE
+    clear = body.swept_path(stroke.trajectory[-1:]).clear(rows, _START_CLEARANCE)
     rows, bump = rows[clear], bump[clear]
     blocks = near(_grid(body, stroke, bumps, rng), rows, -BLOCKING_DEPTH, _COMPARED_TRAJECTORIES)
     covers = _covered(stroke, rows)

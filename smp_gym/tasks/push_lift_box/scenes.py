@@ -27,6 +27,7 @@ from smp_gym.sampling.draws import Draw, SceneSampler
 from smp_gym.sampling.moving_body import MovingBody
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.specification import SPECIFICATIONS
+from smp_gym.sampling.swept_path import SweptPath
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import TABLE, Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks.push_lift_box import rules as push_lift_box
@@ -268,10 +269,12 @@ class _Episode:
                 path = leg.paths(trajectory[::_REFERENCE_STRIDE], leg.swept)
                 shared.append((path, leg.spheres.radius[leg.swept], enough))
 
+        paths = [(SweptPath.of(centers, radius), enough) for centers, radius, enough in shared]
+
         def test(rows: FloatArray) -> BoolArray:
             kept = np.ones(len(rows), np.bool_)
-            for path, of, enough in shared:
-                kept[kept] = kernels.path_clearances(path, of, rows[kept], enough) >= enough
+            for path, enough in paths:
+                kept[kept] = path.clear(rows[kept], enough)
             return kept
 
         return test
@@ -316,10 +319,7 @@ class _Episode:
             (legs[0], self.push, legs[1]),
             strict=True,
         )
-        return all(
-            bool((part.clearances(path, rows, clearance) >= clearance).all())
-            for part, path in parts
-        )
+        return all(bool(part.swept_path(path).clear(rows, clearance).all()) for part, path in parts)
 
 
 def _standing(box: ManipulatedObject) -> Obstacle:

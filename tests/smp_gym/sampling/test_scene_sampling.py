@@ -29,6 +29,7 @@ from smp_gym.sampling.choice import choose
 from smp_gym.sampling.conversion import to_obstacle, to_row
 from smp_gym.sampling.detours import detour_basis
 from smp_gym.sampling.obstacles import START_CLEARANCE
+from smp_gym.sampling.swept_path import SweptPath
 from smp_gym.scene import (
     BIN_INNER_HALF_WIDTH,
     BIN_WALL_THICKNESS,
@@ -421,8 +422,12 @@ def test_path_clearances_agree_with_brute_force(paths):
     rows = np.array([to_row(obstacle) for obstacle in obstacles])
     for path in centers[:10]:
         brute = [(numpy_distance(path, o) - radius).min() for o in obstacles]
-        found = kernels.path_clearances(path, radius, rows, 0.15)
+        swept = SweptPath.of(path, radius)
+        found = swept.clearances(rows, 0.15)
         np.testing.assert_allclose(found, np.minimum(brute, 0.15), atol=1e-12)
+        for clearance in (-0.02, 0.0, 0.05):
+            clear = swept.clear(rows, clearance)
+            np.testing.assert_array_equal(clear, np.array(brute) >= clearance)
 
 
 def test_least_clearances_and_heights_agree_with_brute_force(paths):
