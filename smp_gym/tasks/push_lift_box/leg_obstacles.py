@@ -38,6 +38,9 @@ _COMPARED = 220
 _TURN = 0.15
 """rad, standard deviation of a body's turn from the sides of the table."""
 
+_PARTLY = 0.3
+"""Largest share of the growth where bodies do not grow as far as there is room."""
+
 _HALVINGS = 6
 _LATTICE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 4)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
@@ -79,6 +82,20 @@ def grown(bodies: GrowingBodies, keeps: Callable[[FloatArray], BoolArray]) -> Fl
         low[open_] = np.where(keeps(rows), tried, low[open_])
         step *= 0.5
     return bodies.at(low)
+
+
+def grown_partly(
+    bodies: GrowingBodies, keeps: Callable[[FloatArray], BoolArray], rng: np.random.Generator
+) -> FloatArray:
+    """Return the rows of bodies, grown by random shares, without those too large.
+
+    Args:
+        bodies: to grow.
+        keeps: whether rows (C, 9) keep all distances that they must keep.
+        rng: source of all randomness.
+    """
+    rows = bodies.at(rng.uniform(0.0, _PARTLY, len(bodies.least)))
+    return rows[keeps(rows)]
 
 
 def draw_on_legs(families: tuple[LegFamily, LegFamily], rng: np.random.Generator) -> GrowingBodies:

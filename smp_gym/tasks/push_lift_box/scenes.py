@@ -31,7 +31,12 @@ from smp_gym.sampling.swept_path import SweptPath
 from smp_gym.sampling.witness import is_witness
 from smp_gym.scene import TABLE, Goal, ManipulatedObject, Obstacle
 from smp_gym.tasks.push_lift_box import rules as push_lift_box
-from smp_gym.tasks.push_lift_box.leg_obstacles import choose_on_legs, draw_on_legs, grown
+from smp_gym.tasks.push_lift_box.leg_obstacles import (
+    choose_on_legs,
+    draw_on_legs,
+    grown,
+    grown_partly,
+)
 from smp_gym.tasks.push_lift_box.legs import (
     Leg,
     LegFamily,
@@ -47,6 +52,10 @@ __all__ = ["CROWDS", "SAMPLER"]
 CROWDS = {"easy": (0.022, 9, 0.003), "medium": (0.016, 10, 0.002), "hard": (0.010, 11, 0.001)}
 """By difficulty: clearance of the reference (m), number of obstacles, and share of the trajectories
 that may stay free of them."""
+
+PLACED = {"easy": (4, 0.1), "medium": (5, 0.1), "hard": (6, 0.05)}
+"""By difficulty, where there is no reference: number of obstacles, and share of the trajectories that
+may stay free. As many as beside a reference would leave no way at all."""
 
 _PROPOSALS = 48
 _TRIALS = 48
@@ -379,10 +388,13 @@ def _draw_scene(difficulty: str, rng: np.random.Generator, *, witnessed: bool) -
         none = np.empty((0, kernels.OBSTACLE_COLUMNS))
         return Draw(start, (goal,), none, witness, box)
     clearance, count, free_share = CROWDS[difficulty]
+    if not witnessed:
+        count, free_share = PLACED[difficulty]
     keeps = episode.keeps(legs if witnessed else None, clearance)
     trials = episode.trials(rng)
     for _ in range(_CANDIDATE_SETS):
-        rows = grown(draw_on_legs(families, rng), keeps)
+        bodies = draw_on_legs(families, rng)
+        rows = grown(bodies, keeps) if witnessed else grown_partly(bodies, keeps, rng)
         choice = choose_on_legs(rows, families, count)
         if choice is None:
             continue
