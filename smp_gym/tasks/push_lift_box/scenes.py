@@ -47,15 +47,15 @@ from smp_gym.tasks.push_lift_box.legs import (
     make_family,
 )
 
-__all__ = ["CROWDS", "SAMPLER"]
+__all__ = ["CROWDS", "PLACED", "SAMPLER"]
 
 CROWDS = {"easy": (0.022, 9, 0.003), "medium": (0.016, 10, 0.002), "hard": (0.010, 11, 0.001)}
 """By difficulty: clearance of the reference (m), number of obstacles, and share of the trajectories
 that may stay free of them."""
 
 PLACED = {"easy": (4, 0.1), "medium": (5, 0.1), "hard": (6, 0.05)}
-"""By difficulty, where there is no reference: number of obstacles, and share of the trajectories that
-may stay free. As many as beside a reference would leave no way at all."""
+"""By difficulty, without a reference: number of obstacles, and share of the trajectories that may
+stay free of them. As many as beside a reference would leave no way at all."""
 
 _PROPOSALS = 48
 _TRIALS = 48

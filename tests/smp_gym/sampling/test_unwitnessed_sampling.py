@@ -9,7 +9,7 @@ from smp_gym.sampling import SPECIFICATIONS, place_without_witness, sample_scene
 from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.sampling.transfer import carry, release_configuration
 from smp_gym.tasks.placement.scenes import demonstrated_transfer
-from smp_gym.tasks.push_lift_box.scenes import CROWDS
+from smp_gym.tasks.push_lift_box.scenes import PLACED
 
 CROWDED = ("easy", "medium", "hard")
 easy, medium, hard = (SPECIFICATIONS[difficulty].obstacles for difficulty in CROWDED)
@@ -72,7 +72,7 @@ def test_the_mean_is_blocked_and_its_ends_are_free(difficulty):
     ("task", "counts"),
     [
         ("DoubleSidedPlacement", [2 * easy, 2 * medium, hard + 1]),
-        ("PushLiftBox", [CROWDS[difficulty][1] for difficulty in CROWDED]),
+        ("PushLiftBox", [PLACED[difficulty][0] for difficulty in CROWDED]),
     ],
 )
 def test_every_task_gives_playable_scenes_that_are_functions_of_their_seed(task, counts):
