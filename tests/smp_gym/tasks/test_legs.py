@@ -11,7 +11,7 @@ from smp_gym.sampling.obstacles import START_CLEARANCE
 from smp_gym.tasks.push_lift_box.leg_obstacles import GrowingBodies, grown
 from smp_gym.tasks.push_lift_box.legs import Leg, Members
 from smp_gym.tasks.push_lift_box.rules import START_CONFIGURATION, push_poses
-from smp_gym.tasks.push_lift_box.scenes import CROWDS
+from smp_gym.tasks.push_lift_box.scenes import CROWDS, PLACED
 
 BLOCKED = ("easy", "medium", "hard")
 NEAR = np.array(START_CONFIGURATION)
@@ -219,7 +219,7 @@ def test_without_a_witness_the_mean_way_is_blocked_and_what_all_share_is_free(
     mean = shown.mean(axis=0)
     for seed in range(6):
         scene = place_without_witness("PushLiftBox", difficulty, seed)
-        assert len(scene.obstacles) == CROWDS[difficulty][1]
+        assert len(scene.obstacles) == PLACED[difficulty][0]
         box = scene.manipulated
         poses = push_poses(np.array(box.position), box.yaw, np.array([0.0, 1.0]))
         turn = np.zeros(6)
