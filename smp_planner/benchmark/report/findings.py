@@ -34,6 +34,7 @@ from smp_planner.benchmark.paired_comparison import (
     SolveTimes,
     compare_pairs,
 )
+from smp_planner.benchmark.report.trainings import Trainings, trainings
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.statistics import Estimate, mean_interval, rate_interval
 
@@ -200,6 +201,7 @@ class Findings:
         levels: a chart each.
         pairs: of all methods, the one of more successes first; empty without common episodes.
         where: the best method against each other one, task by task, corrected together.
+        trainings: of agents of which several are among the methods.
         profiles: None without common episodes.
         failures: by method, of all its rows.
         played: number of rows of each method.
@@ -213,6 +215,7 @@ class Findings:
     levels: tuple[LevelRates, ...]
     pairs: tuple[Pair, ...]
     where: tuple[Comparison, ...]
+    trainings: tuple[Trainings, ...]
     profiles: Profiles | None
     failures: Mapping[str, tuple[Failure, ...]]
     played: Mapping[str, int]
@@ -249,6 +252,7 @@ def find(results: JoinedResults, methods: Sequence[str] = ()) -> Findings:
         tuple(_levels(results, order)),
         tuple(_pairs(results, order, common)) if common else (),
         tuple(_where(results, order, common)) if common else (),
+        tuple(trainings(results, order, common)) if common else (),
         _profiles(results, order, common) if common else None,
         {name: tuple(_failures(results, name)) for name in order},
         {name: len(results.rows[name]) for name in order},

@@ -20,6 +20,7 @@ def markdown(findings: Findings) -> str:
         f"Success, of n episodes of each method, with 95 % Wilson intervals:\n\n{_cells(findings)}",
         f"Methods, {base(findings)}; times in s:\n\n{_methods(findings)}",
         _pairs(findings),
+        _trainings(findings),
         _sources(findings),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -81,6 +82,20 @@ def _pairs(findings: Findings) -> str:
         "exact test of McNemar, corrected by Holm’s method:"
     )
     return f"{note}\n\n{_table(header, rows, 2)}"
+
+
+def _trainings(findings: Findings) -> str:
+    if not findings.trainings:
+        return ""
+    rows = []
+    for each in findings.trainings:
+        worst, best = (f"{100 * rate:.1f}" for rate in each.range)
+        rows.append([each.agent, str(len(each.methods)), worst, best, _rate(each.typical)])
+    note = (
+        f"Trainings that differ in their seed alone, success in %, {base(findings)}; typically is "
+        "the interquartile mean over trainings and cells, with a bootstrap that draws trainings:"
+    )
+    return f"{note}\n\n{_table(['', 'trainings', 'worst', 'best', 'typically'], rows)}"
 
 
 def _sources(findings: Findings) -> str:
