@@ -1,8 +1,8 @@
 """Upgrade an installed wheel, and check that no compiled code of the old one runs on.
 
-Wheel A is this checkout; wheel B has another size in the kernels of a box, which are in another file
-than the function that is asked. Several processes at once ask it after each step: on an empty cache,
-on the stale one that A has left, and on a torn one. All must say what the wheel's own kernels say.
+Wheel A is this checkout; wheel B has another size in the kernels of a box, which are in another
+file than the function that is asked. Several processes at once ask it after each step: on an empty
+cache, on the stale one that A has left, and on a torn one. All must say what their wheel says.
 """
 
 from __future__ import annotations
