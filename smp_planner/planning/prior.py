@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,9 @@ from smp_planner.torch_threads import one_thread
 
 __all__ = ["Prior", "learn_prior"]
 
+_KEPT_WIDTHS = 8
+"""Widths whose components are kept: those of the settings, and of a few tries with wider ones."""
+
 
 @dataclass(frozen=True, eq=False)
 class Prior:
@@ -38,6 +41,7 @@ class Prior:
     single: ProMP
     mixture: ProMPMixture
     settings: PriorSettings
+    _wider: dict[float, list[ProMP]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def digest(self) -> str:
@@ -54,7 +58,12 @@ class Prior:
 
     def components(self, width: float = 1.0) -> list[ProMP]:
         """Return the components of `used`, with `width` (at least 1) times the added deviation."""
-        return [self.widened(component, width) for component in self.used.components]
+        if width not in self._wider:
+            found = [self.widened(component, width) for component in self.used.components]
+            while len(self._wider) >= _KEPT_WIDTHS:
+                self._wider.pop(next(iter(self._wider)), None)
+            self._wider[width] = found
+        return list(self._wider[width])
 
     def widened(self, primitive: ProMP, width: float) -> ProMP:
         """Return a primitive of it with `width` (at least 1) times the added deviation."""
