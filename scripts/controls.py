@@ -26,7 +26,7 @@ from smp_planner.experiments.controls.control_table import CONTROLS, ControlCell
 
 app = CommandLine(add_completion=False, no_args_is_help=True)
 
-_Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+_Out = Annotated[Path, typer.Option(help="Folder of the results.", file_okay=False)]
 
 
 @app.command()

@@ -19,7 +19,9 @@ from smp_planner.benchmark.options import Names, chosen_names, run_command, spli
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the sheets.")] = Path("results/scenes"),
+    out: Annotated[Path, typer.Option(help="Folder of the sheets.", file_okay=False)] = Path(
+        "results/scenes"
+    ),
     suite: Annotated[str, typer.Option(help=f"One of {', '.join(SUITES)}.")] = "standard",
     tasks: Names = "",
     cells: Names = "",

@@ -36,7 +36,10 @@ def main(
     ] = TASKS[0],
     out: Annotated[
         Path | None,
-        typer.Option(help="Root of the data sets; default MINARI_DATASETS_PATH or ~/.minari."),
+        typer.Option(
+            help="Root of the data sets; default MINARI_DATASETS_PATH or ~/.minari.",
+            file_okay=False,
+        ),
     ] = None,
     dataset_id: Annotated[
         str | None, typer.Option(help="Default smp_gym/TASK/demonstrations-v1.")

@@ -31,7 +31,7 @@ app = CommandLine(
 
 _Particles = Annotated[int, typer.Option(min=1, help="Of each plan.")]
 _Repetitions = Annotated[int, typer.Option(min=1, help="With seeds from 0.")]
-_Out = Annotated[Path, typer.Option(help="Folder to write.")]
+_Out = Annotated[Path, typer.Option(help="Folder to write.", file_okay=False)]
 _Obstacles = Annotated[list[str] | None, typer.Option(help="Circle x,y,r in mm; repeatable.")]
 _Vias = Annotated[
     list[str] | None,

@@ -20,9 +20,14 @@ from smp_planner.benchmark.options import run_command
 
 
 def main(
-    out: Annotated[Path | None, typer.Option(help="Folder to write into.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write into.", file_okay=False)] = None,
     meshes: Annotated[
-        Path | None, typer.Option(help="The vendor's meshes (.dae), to measure coverage against.")
+        Path | None,
+        typer.Option(
+            help="The vendor's meshes (.dae), to measure coverage against.",
+            exists=True,
+            file_okay=False,
+        ),
     ] = None,
 ) -> None:
     """Write URDF, visuals and spheres of the arm, and measure them if meshes are given.

@@ -22,7 +22,9 @@ _TWO_MODES = ("Placement", "PushLiftBox")
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the files.")] = Path("results/figures"),
+    out: Annotated[Path, typer.Option(help="Folder of the files.", file_okay=False)] = Path(
+        "results/figures"
+    ),
     figures: Annotated[
         str,
         typer.Option(help="Of particles (Fig. 3), sides (4) and modes (5, 6). Default: all."),

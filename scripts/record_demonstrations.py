@@ -20,7 +20,9 @@ from smp_planner.benchmark.options import run_command
 def main(
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write; default envs_assets/demonstrations/TASK.npz."),
+        typer.Option(
+            help="File to write; default envs_assets/demonstrations/TASK.npz.", dir_okay=False
+        ),
     ] = None,
     task: Annotated[str, typer.Option(help=f"One of {', '.join(task_names())}.")] = "Placement",
 ) -> None:

@@ -17,14 +17,19 @@ def main(
         Path,
         typer.Argument(
             help="Card of a trained or a shipped agent, or the folder of scripts/train_agent.py, "
-            "whose final.zip is read: it runs what that holds, pickled."
+            "whose final.zip is read: it runs what that holds, pickled.",
+            exists=True,
         ),
     ],
     results: Annotated[
-        Path | None, typer.Option(help="Folder of smp-bench run with its episodes.")
+        Path | None,
+        typer.Option(
+            help="Folder of smp-bench run with its episodes.", exists=True, file_okay=False
+        ),
     ] = None,
     folder: Annotated[
-        Path | None, typer.Option(help="To write into. Default: envs_assets/agents/.")
+        Path | None,
+        typer.Option(help="To write into. Default: envs_assets/agents/.", file_okay=False),
     ] = None,
 ) -> None:
     """Write card and weights of SOURCE into the package, with the success that RESULTS hold.

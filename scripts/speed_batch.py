@@ -17,17 +17,19 @@ from rich.console import Console
 
 from smp_gym.atomic_files import write_text
 from smp_planner.benchmark import batch_speed
-from smp_planner.benchmark.options import CommandLine, split_names
+from smp_planner.benchmark.options import CommandLine, whole_numbers
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 
 app = CommandLine(add_completion=False, help=__doc__)
-Problems = Annotated[Path, typer.Option(help="File of problems, made by `prepare`.")]
+Problems = Annotated[
+    Path, typer.Option(help="File of problems, made by `prepare`.", exists=True, dir_okay=False)
+]
 _PROBLEMS = Path("results/problems.npz")
 
 
 @app.command()
 def prepare(
-    out: Annotated[Path, typer.Option(help="File to write.")] = _PROBLEMS,
+    out: Annotated[Path, typer.Option(help="File to write.", dir_okay=False)] = _PROBLEMS,
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
     difficulty: Annotated[str, typer.Option(help="Of its scenes.")] = "hard",
     count: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 1024,
@@ -50,7 +52,9 @@ def run(
     naive: Annotated[int, typer.Option(min=0, help="Most scenes of naive autograd.")] = 16,
     plans: Annotated[int, typer.Option(min=0, help="Most scenes of whole plans.")] = 64,
     keep: Annotated[int, typer.Option(min=1, help="Scenes whose particles are kept.")] = 256,
-    out: Annotated[Path, typer.Option(help="Folder of rows and particles.")] = Path("results"),
+    out: Annotated[
+        Path, typer.Option(help="Folder of rows and particles.", file_okay=False)
+    ] = Path("results"),
 ) -> None:
     """Time descents, plans and gradients, and write rows and particles.
 
@@ -59,7 +63,7 @@ def run(
 
     Example: python scripts/speed_batch.py run --device cpu --sizes 1 --repeats 1 --out results
     """
-    console, numbers = Console(width=200), [int(size) for size in split_names(sizes)]
+    console, numbers = Console(width=200), whole_numbers(sizes, "--sizes")
     policy, given = batch_speed.read_problems(problems, max(*numbers, keep))
     planner = policy.planner
     assert isinstance(planner, PrimitivePlanner)
@@ -86,9 +90,9 @@ def run(
 @app.command()
 def verify(
     problems: Problems = _PROBLEMS,
-    particles: Annotated[Path, typer.Option(help="What `run` wrote.")] = Path(
-        "results/particles.npz"
-    ),
+    particles: Annotated[
+        Path, typer.Option(help="What `run` wrote.", exists=True, dir_okay=False)
+    ] = Path("results/particles.npz"),
     count: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 256,
 ) -> None:
     """Check particles exactly, and compare with the device's check.

@@ -19,7 +19,7 @@ app = CommandLine(add_completion=False)
 
 _CHOOSING = ("promp_diff", "prompt_o", "cpromp", "smp")
 
-_Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+_Out = Annotated[Path, typer.Option(help="Folder of the results.", file_okay=False)]
 
 
 @app.command()
@@ -67,7 +67,9 @@ def show(
         list[Path] | None,
         typer.Option(
             help="Folder whose rows take the place of those of the same tasks and methods; may be "
-            "given several times."
+            "given several times.",
+            exists=True,
+            file_okay=False,
         ),
     ] = None,
 ) -> None:

@@ -22,7 +22,9 @@ _SEEDS = range(79_200, 79_203)
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the pictures.")] = Path("docs/tasks"),
+    out: Annotated[Path, typer.Option(help="Folder of the pictures.", file_okay=False)] = Path(
+        "docs/tasks"
+    ),
     tasks: Names = "",
 ) -> None:
     """Take a picture of each task, or of some: three easy scenes above three hard ones.

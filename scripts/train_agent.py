@@ -26,11 +26,16 @@ def main(
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 300_000,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, exploration, episodes.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; by default below results/agents/.")
+        Path | None,
+        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
     ] = None,
     settings: Annotated[
         Path | None,
-        typer.Option(help="Hyper-parameters; by default the task's in envs_assets/agents/."),
+        typer.Option(
+            help="Hyper-parameters; by default the task's in envs_assets/agents/.",
+            exists=True,
+            dir_okay=False,
+        ),
     ] = None,
     every: Annotated[int, typer.Option(min=1, help="Steps between evaluations.")] = 10_000,
     episodes: Annotated[int, typer.Option(min=1, help="Of each evaluation.")] = 50,

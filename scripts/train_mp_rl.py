@@ -37,11 +37,16 @@ def main(
         int, typer.Option(min=1, help="Steps of the costs and batches in all.")
     ] = 600,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; by default below results/agents/.")
+        Path | None,
+        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
     ] = None,
     settings: Annotated[
         Path | None,
-        typer.Option(help="Settings; by default the agent's in envs_assets/agents/."),
+        typer.Option(
+            help="Settings; by default the agent's in envs_assets/agents/.",
+            exists=True,
+            dir_okay=False,
+        ),
     ] = None,
 ) -> None:
     """Train an agent; the same command goes on after an interruption.

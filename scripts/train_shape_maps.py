@@ -20,12 +20,14 @@ from smp_planner.occupancy.shape_training import train_shape_networks
 def main(
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write (.npz without pickle); by default the packaged one."),
+        typer.Option(
+            help="File to write (.npz without pickle); by default the packaged one.", dir_okay=False
+        ),
     ] = None,
     hidden: Annotated[int, typer.Option(min=1, help="Units in each of the two layers.")] = 16,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of L-BFGS, each on new points.")] = 8,
     samples: Annotated[int, typer.Option(min=1, help="Points in each round.")] = 20_000,
-    seed: Annotated[int, typer.Option(help="Of initial weights and points.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of initial weights and points.")] = 0,
 ) -> None:
     """Train one network per obstacle shape (box, cylinder, sphere): about two minutes on one core.
 

@@ -22,7 +22,9 @@ _FORMATS = ("csv", "parquet", "npz")
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(help="Folder that `run` wrote, finished or not.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder that `run` wrote, finished or not.", file_okay=False)
+    ],
     format: Annotated[
         str,
         typer.Option(
@@ -96,8 +98,12 @@ def _chosen(
 
 
 def import_results(
-    old: Annotated[Path, typer.Argument(help="Folder that an older version wrote.")],
-    out: Annotated[Path, typer.Option(help="Folder of the results; made if there is none.")],
+    old: Annotated[
+        Path, typer.Argument(help="Folder that an older version wrote.", file_okay=False)
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; made if there is none.", file_okay=False)
+    ],
 ) -> None:
     """Copy results of an older version (episodes.jsonl) into a folder of today.
 

@@ -18,10 +18,15 @@ __all__ = ["report"]
 def report(
     folders: Annotated[
         list[Path],
-        typer.Argument(metavar="FOLDER...", help="Folders that `run` wrote.", show_default=False),
+        typer.Argument(
+            metavar="FOLDER...",
+            help="Folders that `run` wrote.",
+            file_okay=False,
+            show_default=False,
+        ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="File to write. Default: standard output.")
+        Path | None, typer.Option(help="File to write. Default: standard output.", dir_okay=False)
     ] = None,
     form: Annotated[
         str,
