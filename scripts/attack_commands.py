@@ -138,7 +138,8 @@ def _commands_of(title: str, app: CommandLine) -> Iterator[Command]:
             hint = hints[each.name]
             kinds = {part for part in (hint, *get_args(hint)) for part in (part, *get_args(part))}
             (kind,) = kinds & {int, float, str, bool, Path}
-            option = each.opts[0] if each.param_type_name == "option" else each.name.upper()
+            is_option = each.param_type_name == "option"
+            option = each.opts[0] if is_option else each.metavar or each.name.upper()
             parameters.append(Parameter(option, kind, each.required, each.nargs == -1))
         words = () if group is None else (name,)
         yield Command(" ".join((title, *words)), app, words, tuple(parameters))
@@ -152,7 +153,8 @@ def bad_files(folder: Path) -> list[Path]:
         fields = (key.task, key.method, key.difficulty, key.seed)
         store.append(EpisodeRow(*fields, True, False, "", "", 0.1, 1.0, 0.02, 150))
     whole = (folder / "run" / RESULTS).read_bytes()
-    for name, content in (("cut", whole[: len(whole) // 2]), ("empty", b""), ("odd", b"\x00{[\xff")):
+    contents = {"cut": whole[: len(whole) // 2], "empty": b"", "odd": b"\x00{[\xff"}
+    for name, content in contents.items():
         (folder / name).mkdir()
         for file in (RESULTS, "agent.json", "final.zip", "trials.json", "manifest.json"):
             (folder / name / file).write_bytes(content)
@@ -176,12 +178,12 @@ def drawn(
     good = {
         parameter: _good(parameter, command, folder)
         for parameter in command.parameters
-        if parameter.required or parameter.option in ("--out", "--folder")
+        if parameter.required or (parameter.kind is Path and parameter.option in _GIVEN)
     }
     how = rng.random()
     if how < 0.15 or not command.parameters:
         word = str(rng.choice(["--no-such-option", "-Z", "--=", "surplus\udcff"]))
-        return [*command.words, *_line(good), word], (word, "FOLDER", "surplus")
+        return [*command.words, *_line(good), word], (word.strip("="), "surplus")
     attacked = command.parameters[rng.integers(len(command.parameters))]
     if how < 0.2 and attacked.is_option and attacked.kind is not bool:
         return [*command.words, *_line(good), attacked.option], (attacked.option,)
@@ -196,19 +198,24 @@ def drawn(
     words = attacked.given(value)
     if attacked.many and attacked.kind is str:
         words = [*_good(attacked, command, folder)[:-1], value]
-    named = (attacked.option, value, value.strip()) if value.strip() else (attacked.option,)
-    return [*command.words, *_line({**good, attacked: words})], named
+    parts = [part.strip() for part in value.split(",")] if value.strip() else [""]
+    return [*command.words, *_line({**good, attacked: words})], (attacked.option, value, *parts)
 
 
 def _good(parameter: Parameter, command: Command, folder: Path) -> list[str]:
     """Return words that give a parameter a value which its command takes."""
     if parameter.many and parameter.kind is str:
         return [str(folder / "run"), "promp", "promp"]
+    if parameter.option in ("--problems", "--particles"):
+        return parameter.given(str(folder / "odd.json"))
     if parameter.option == "--task":
         return parameter.given("Placement")
     made = folder / "made" / ("file" if command.title in _WRITE_FILES else "folder")
     return parameter.given(str(made if parameter.is_option else folder / "run"))
 
+
+_GIVEN = ("--out", "--folder", "--problems", "--particles")
+"""Options that are always given, so that nothing is read or written elsewhere."""
 
 _WRITE_FILES = (
     "record_demonstrations.py",
@@ -223,9 +230,8 @@ _WRITE_FILES = (
 
 def _line(given: dict[Parameter, list[str]]) -> list[str]:
     """Return arguments, then options, as words of a command line."""
-    options = [word for parameter, words in given.items() if parameter.is_option for word in words]
-    others = [word for parameter, words in given.items() if not parameter.is_option for word in words]
-    return [*others, *options]
+    ordered = sorted(given, key=lambda parameter: parameter.is_option)
+    return [word for parameter in ordered for word in given[parameter]]
 
 
 class Stopped(BaseException):
@@ -243,11 +249,11 @@ def _guard(event: str, arguments: tuple[Any, ...]) -> None:
         raise Stopped(event)
     if event == "open":
         path, mode, flags = arguments
-        writes = bool(flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)) or set(mode or "") & set("wax+")
-        if writes and isinstance(path, str) and Path(path).absolute().is_relative_to(_ROOT):
-            # Compiled kernels are kept beside their sources.
-            if "__pycache__" not in path:
-                raise Stopped(path)
+        writes = flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT) or set(mode or "") & set("wax+")
+        # Compiled kernels are kept beside their sources.
+        kept = isinstance(path, str) and "__pycache__" not in path
+        if writes and kept and Path(path).absolute().is_relative_to(_ROOT):
+            raise Stopped(path)
 
 
 def _start(*_: Any, **__: Any) -> None:
@@ -266,6 +272,8 @@ def guarded() -> Iterator[None]:
     environment, modules, where = dict(os.environ), list(sys.path), os.getcwd()
     before = signal.signal(signal.SIGALRM, stop)
     faulthandler.dump_traceback_later(60.0, exit=True)
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, limits[1]))
     multiprocessing.process.BaseProcess.start = _start  # type: ignore[method-assign]
     # Again, should the first be swallowed where it comes.
     signal.setitimer(signal.ITIMER_REAL, LIMIT, 0.5)
@@ -276,6 +284,9 @@ def guarded() -> Iterator[None]:
         _guarded = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+        resource.setrlimit(
+            resource.RLIMIT_AS, (limits[0], resource.getrlimit(resource.RLIMIT_AS)[1])
+        )
         faulthandler.cancel_dump_traceback_later()
         multiprocessing.process.BaseProcess.start = start  # type: ignore[method-assign]
         os.environ.clear()
@@ -286,7 +297,11 @@ def guarded() -> Iterator[None]:
 
 def judged(command: Command, line: list[str], named: tuple[str, ...]) -> tuple[str, str]:
     """Return what came of a command line, and what was said of it."""
-    written = [io.TextIOWrapper(io.BytesIO(), "utf-8", errors) for errors in _ENCODING]
+    buffers = [io.BytesIO(), io.BytesIO()]
+    written = [
+        io.TextIOWrapper(buffer, "utf-8", errors)
+        for buffer, errors in zip(buffers, _ENCODING, strict=True)
+    ]
     what, said = "ended", ""
     try:
         with guarded(), redirect_stdout(written[0]), redirect_stderr(written[1]):
@@ -294,19 +309,17 @@ def judged(command: Command, line: list[str], named: tuple[str, ...]) -> tuple[s
     except Stopped as stopped:
         what, said = "worked", str(stopped)
     except SystemExit as end:
+        for buffer, stream in zip(buffers, written, strict=True):
+            stream.flush()
+            said += buffer.getvalue().decode("utf-8", "replace")
         if end.code not in (0, None):
-            for stream in written:
-                stream.flush()
-                said += stream.buffer.getvalue().decode("utf-8", "replace")  # type: ignore[attr-defined]
-            told = _squeezed(said)
-            what = "named" if any(_squeezed(_escaped(name)) in told for name in named) else "unnamed"
-            if end.code not in (1, 2):
+            what = "named" if _is_named(named, said) else "unnamed"
+            if end.code not in (1, 2) or "Traceback" in said:
                 what, said = "traceback", f"exit status {end.code!r}: {said}"
-            if "Traceback" in said:
-                what = "traceback"
     except BaseException as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        what, said = "traceback", f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})"
+        said = f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})"
+        what = "traceback"
     return what, said
 
 
@@ -314,8 +327,14 @@ _ENCODING = ("strict", "backslashreplace")
 """How a terminal's two streams take what is no text."""
 
 
-def _escaped(text: str) -> str:
-    return text[:60].encode("utf-8", "backslashreplace").decode("utf-8")
+def _is_named(names: tuple[str, ...], said: str) -> bool:
+    """Return whether a message says one of some names or values, an empty one by its quotes."""
+    told = _squeezed(said)
+    return any(_squeezed(_printable(name[:60])) in told if name else "''" in said for name in names)
+
+
+def _printable(text: str) -> str:
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _squeezed(text: str) -> str:
@@ -354,14 +373,11 @@ def attack(
                 outcomes.setdefault(command.title, Counter())[what] += 1
                 if what != "named":
                     words = " ".join(word[:60] for word in line[len(command.words) :])
-                    report(_escaped_whole(f"{what}: {command.title} {words}  {said[-300:].strip()}"))
+                    told = " ".join(said.split())[-300:]
+                    report(_printable(f"{what}: {command.title} {words!r} {told}"))
         finally:
             os.chdir(where)
     return outcomes
-
-
-def _escaped_whole(text: str) -> str:
-    return text.replace("\n", " ").encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def main(
@@ -374,7 +390,6 @@ def main(
     """
     warnings.simplefilter("ignore")
     os.environ["COLUMNS"] = "200"
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     sys.addaudithook(_guard)
     console = Console()
     outcomes = attack(count, seed, partial(console.print, markup=False, highlight=False))

@@ -16,7 +16,7 @@ from rich.console import Console
 from smp_gym.assets import asset_path
 from smp_gym.jaco_assets.coverage import coverage_table
 from smp_gym.jaco_assets.description import write
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 
 
 def main(
@@ -38,10 +38,9 @@ def main(
     """
     folder = out or asset_path("jaco")
     write(folder)
-    console = Console()
-    console.print(f"wrote {folder}")
+    tell(f"wrote {folder}")
     if meshes is not None:
-        console.print(coverage_table(meshes))
+        Console().print(coverage_table(meshes))
 
 
 if __name__ == "__main__":

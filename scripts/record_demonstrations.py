@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.tasks import task_definition, task_names
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 
 
 def main(
@@ -34,10 +34,10 @@ def main(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     except RuntimeError as error:
-        console.print(f"nothing written: {error}")
+        tell(f"nothing written: {error}")
         raise typer.Exit(1) from error
     demonstrations.save(out)
-    console.print(f"wrote {out}")
+    tell(f"wrote {out}")
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from smp_planner.agents.shipping import ship_agent
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 
 
 def main(
@@ -40,7 +39,7 @@ def main(
         written = ship_agent(source, results, folder)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    Console().print(f"wrote {written}", soft_wrap=True)
+    tell(f"wrote {written}")
 
 
 if __name__ == "__main__":

@@ -16,8 +16,9 @@ import typer
 from rich.console import Console
 
 from smp_gym.atomic_files import write_text
+from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark import batch_speed
-from smp_planner.benchmark.options import CommandLine, whole_numbers
+from smp_planner.benchmark.options import CommandLine, one_of, tell, whole_numbers
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 
 app = CommandLine(add_completion=False, help=__doc__)
@@ -39,8 +40,10 @@ def prepare(
 
     Example: python scripts/speed_batch.py prepare --count 64 --out results/problems.npz
     """
+    one_of(task, TASKS, "--task")
+    one_of(difficulty, DIFFICULTIES, "--difficulty")
     batch_speed.prepare(task, difficulty, count, seed, out)
-    Console().print(f"{count} scenes of {task} in {out}, {out.stat().st_size / 1e6:.1f} MB")
+    tell(f"{count} scenes of {task} in {out}, {out.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from smp_gym.atomic_files import write_text
-from smp_planner.benchmark.options import chosen_names, one_of, run_command, whole_numbers
+from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.options import chosen_names, one_of, run_command, tell, whole_numbers
 from smp_planner.benchmark.plan_speed import (
     Measurement,
     Variant,
@@ -56,6 +56,8 @@ def main(
 
     Example: git worktree add ../before COMMIT; python scripts/speed_plan.py --beside ../before
     """
+    chosen = chosen_names(tasks, TASKS, "--tasks")
+    one_of(difficulty, DIFFICULTIES, "--difficulty")
     counts = whole_numbers(threads, "--threads")
     variants = [Variant(f"{count} threads", count) for count in counts]
     if busy:
@@ -71,7 +73,7 @@ def main(
         settings = {"method": _OMPL, "algorithm": "RRTConnect", "particles": 42, "seconds": 5.0}
         slow.append((ompl, Variant("OMPL RRT-Connect", settings=settings)))
     found: list[Measurement] = []
-    for task in tasks.split(","):
+    for task in chosen:
         found += measure(task, difficulty, range(first_seed, first_seed + scenes), variants)
         for count, variant in slow:
             found += measure(task, difficulty, range(first_seed, first_seed + count), [variant])
@@ -79,7 +81,7 @@ def main(
     if grow:
         tables.append(growth())
     text = "\n\n".join(markdown(table) for table in tables) + "\n"
-    Console().print(text, highlight=False, soft_wrap=True)
+    tell(text)
     if out is not None:
         write_text(out, text)
 

@@ -10,7 +10,15 @@ from rich.console import Console
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.options import CommandLine, Jobs, Names, chosen_names, progress_bar
+from smp_planner.benchmark.options import (
+    CommandLine,
+    Jobs,
+    Names,
+    chosen_names,
+    print_error,
+    progress_bar,
+    tell,
+)
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
@@ -55,7 +63,7 @@ def run(
     except ResultsError as error:
         raise typer.BadParameter(str(error), param_hint="--out") from error
     except (WorkerDiedError, EpisodeFailedError) as error:
-        console.print(f"error: {error}", style="red")
+        print_error(str(error))
         raise typer.Exit(1) from error
     show(out)
 
@@ -88,7 +96,7 @@ def show(
     figure.draw_table(summary, out / "table_two.png")
     written = ("trajectories.csv", "repetitions.csv", "summary.json", "table_two.md")
     for name in (*written, "table_two.png"):
-        Console().print(f"wrote {out / name}", soft_wrap=True)
+        tell(f"wrote {out / name}")
 
 
 @app.command()

@@ -16,7 +16,7 @@ from smp_gym.assets import asset_path
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.training import Training
-from smp_planner.benchmark.options import Interrupted, one_of, progress_bar, run_command
+from smp_planner.benchmark.options import Interrupted, one_of, progress_bar, run_command, tell
 
 
 def main(
@@ -84,7 +84,7 @@ def main(
             f"episodes, {result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after "
             f"{result.steps} steps"
         )
-    console.print(f"see {folder}")
+    tell(f"see {folder}")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from smp_gym.assets import asset_path
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 from smp_planner.occupancy.shape_training import train_shape_networks
 
 
@@ -44,7 +44,7 @@ def main(
     path = out or asset_path("occupancy", "shape_networks.npz")
     path.parent.mkdir(parents=True, exist_ok=True)
     networks.save(path)
-    console.print(f"wrote {path}")
+    tell(f"wrote {path}")
 
 
 if __name__ == "__main__":
