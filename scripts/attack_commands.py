@@ -261,7 +261,7 @@ def _start(*_: Any, **__: Any) -> None:
 
 
 @contextmanager
-def guarded() -> Iterator[None]:
+def guarded(limit: float) -> Iterator[None]:
     """Stop a command that goes to work, and put back what it changed of this process."""
     global _guarded
 
@@ -272,11 +272,11 @@ def guarded() -> Iterator[None]:
     environment, modules, where = dict(os.environ), list(sys.path), os.getcwd()
     before = signal.signal(signal.SIGALRM, stop)
     faulthandler.dump_traceback_later(60.0, exit=True)
-    limits = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, limits[1]))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     multiprocessing.process.BaseProcess.start = _start  # type: ignore[method-assign]
     # Again, should the first be swallowed where it comes.
-    signal.setitimer(signal.ITIMER_REAL, LIMIT, 0.5)
+    signal.setitimer(signal.ITIMER_REAL, limit, 0.5)
+    os.environ |= {"COLUMNS": "200", "MINARI_DATASETS_PATH": f"{where}/minari"}
     _guarded = True
     try:
         yield
@@ -284,9 +284,9 @@ def guarded() -> Iterator[None]:
         _guarded = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-        resource.setrlimit(
-            resource.RLIMIT_AS, (limits[0], resource.getrlimit(resource.RLIMIT_AS)[1])
-        )
+        # A command may have lowered them for good.
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
         faulthandler.cancel_dump_traceback_later()
         multiprocessing.process.BaseProcess.start = start  # type: ignore[method-assign]
         os.environ.clear()
@@ -295,7 +295,9 @@ def guarded() -> Iterator[None]:
         os.chdir(where)
 
 
-def judged(command: Command, line: list[str], named: tuple[str, ...]) -> tuple[str, str]:
+def judged(
+    command: Command, line: list[str], named: tuple[str, ...], limit: float = LIMIT
+) -> tuple[str, str]:
     """Return what came of a command line, and what was said of it."""
     buffers = [io.BytesIO(), io.BytesIO()]
     written = [
@@ -304,7 +306,7 @@ def judged(command: Command, line: list[str], named: tuple[str, ...]) -> tuple[s
     ]
     what, said = "ended", ""
     try:
-        with guarded(), redirect_stdout(written[0]), redirect_stderr(written[1]):
+        with guarded(limit), redirect_stdout(written[0]), redirect_stderr(written[1]):
             command.app(line, prog_name=command.title)
     except Stopped as stopped:
         what, said = "worked", str(stopped)
@@ -346,7 +348,7 @@ def attack(
     count: int,
     seed: int,
     report: Callable[[str], None] = lambda line: None,
-    known: list[Command] | None = None,
+    limit: float = LIMIT,
 ) -> dict[str, Counter[str]]:
     """Return how often what came of bad command lines, by command.
 
@@ -354,22 +356,28 @@ def attack(
         count: command lines to draw.
         seed: of what is drawn.
         report: is told of each that was not refused by name.
-        known: the commands to attack; all without.
+        limit: seconds that a command may take.
     """
     rng = np.random.default_rng(seed)
     outcomes: dict[str, Counter[str]] = {}
-    known = commands() if known is None else known
+    known = commands()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+        folder, kept = Path(name, "given"), Path(name, "kept")
+        folder.mkdir()
         paths, where = bad_files(folder), os.getcwd()
-        os.environ["MINARI_DATASETS_PATH"] = str(folder / "minari")
+        shutil.copytree(folder, kept)
+        sys.addaudithook(_guard)
         os.chdir(folder)
         try:
             for _ in range(count):
                 command = known[rng.integers(len(known))]
                 line, named = drawn(command, folder, paths, rng)
-                what, said = judged(command, line, named)
-                shutil.rmtree(folder / "made", ignore_errors=True)
+                what, said = judged(command, line, named, limit)
+                # What it wrote is not there for the next.
+                os.chdir(where)
+                shutil.rmtree(folder)
+                shutil.copytree(kept, folder)
+                os.chdir(folder)
                 outcomes.setdefault(command.title, Counter())[what] += 1
                 if what != "named":
                     words = " ".join(word[:60] for word in line[len(command.words) :])
@@ -389,8 +397,6 @@ def main(
     Example: python scripts/attack_commands.py --count 300 --seed 0
     """
     warnings.simplefilter("ignore")
-    os.environ["COLUMNS"] = "200"
-    sys.addaudithook(_guard)
     console = Console()
     outcomes = attack(count, seed, partial(console.print, markup=False, highlight=False))
     table = Table("command", *OUTCOMES, title=f"{count} bad command lines")

@@ -36,6 +36,7 @@ def main(
     except RuntimeError as error:
         tell(f"nothing written: {error}")
         raise typer.Exit(1) from error
+    out.parent.mkdir(parents=True, exist_ok=True)
     demonstrations.save(out)
     tell(f"wrote {out}")
 

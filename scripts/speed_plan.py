@@ -83,6 +83,7 @@ def main(
     text = "\n\n".join(markdown(table) for table in tables) + "\n"
     tell(text)
     if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, text)
 
 

@@ -58,6 +58,7 @@ def export(
     chosen = _chosen(rows, cells, methods, seeds, [cell.name for cell in manifest.cells])
     path = out or folder / ("particles" if format == "npz" else f"episodes.{format}")
     console = Console(highlight=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
         path.mkdir(parents=True, exist_ok=True)
         write = partial(export_episode, manifest.player, path)

@@ -88,5 +88,6 @@ def report(
     if out is None:
         typer.echo(text, nl=False)
         return
+    out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, text)
     Console(highlight=False).print(f"wrote {escape(str(out))}", soft_wrap=True)
