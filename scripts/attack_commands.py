@@ -29,6 +29,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
@@ -234,6 +235,10 @@ def _line(given: dict[Parameter, list[str]]) -> list[str]:
     return [word for parameter in ordered for word in given[parameter]]
 
 
+_WHOLE = ("importlib._bootstrap", f"numba{os.sep}core", "llvmlite")
+"""Parts of paths of what is not stopped within."""
+
+
 class Stopped(BaseException):
     """A command has gone to work."""
 
@@ -261,25 +266,37 @@ def _start(*_: Any, **__: Any) -> None:
 
 
 @contextmanager
-def guarded(limit: float) -> Iterator[None]:
-    """Stop a command that goes to work, and put back what it changed of this process."""
+def guarded(limit: float) -> Iterator[list[str]]:
+    """Stop a command that goes to work, and put back what it changed of this process.
+
+    Yields:
+        What is empty until the time is over; errors then are of the stop.
+    """
     global _guarded
 
-    def stop(*_: Any) -> None:
+    over: list[str] = []
+
+    def stop(_: int, frame: FrameType | None) -> None:
+        # What is imported or compiled by half would break the commands that follow.
+        while frame is not None:
+            if any(place in frame.f_code.co_filename for place in _WHOLE):
+                return
+            frame = frame.f_back
+        over.append("time")
         raise Stopped("time")
 
     start = multiprocessing.process.BaseProcess.start
     environment, modules, where = dict(os.environ), list(sys.path), os.getcwd()
     before = signal.signal(signal.SIGALRM, stop)
-    faulthandler.dump_traceback_later(60.0, exit=True)
+    faulthandler.dump_traceback_later(120.0, exit=True)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     multiprocessing.process.BaseProcess.start = _start  # type: ignore[method-assign]
-    # Again, should the first be swallowed where it comes.
+    # Again, should the first come in an import or be swallowed where it comes.
     signal.setitimer(signal.ITIMER_REAL, limit, 0.5)
     os.environ |= {"COLUMNS": "200", "MINARI_DATASETS_PATH": f"{where}/minari"}
     _guarded = True
     try:
-        yield
+        yield over
     finally:
         _guarded = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -304,9 +321,9 @@ def judged(
         io.TextIOWrapper(buffer, "utf-8", errors)
         for buffer, errors in zip(buffers, _ENCODING, strict=True)
     ]
-    what, said = "ended", ""
+    what, said, over = "ended", "", []
     try:
-        with guarded(limit), redirect_stdout(written[0]), redirect_stderr(written[1]):
+        with guarded(limit) as over, redirect_stdout(written[0]), redirect_stderr(written[1]):
             command.app(line, prog_name=command.title)
     except Stopped as stopped:
         what, said = "worked", str(stopped)
@@ -321,7 +338,7 @@ def judged(
     except BaseException as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         said = f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})"
-        what = "traceback"
+        what = "worked" if over else "traceback"
     return what, said
 
 

@@ -66,6 +66,10 @@ def run(
 
     Example: python scripts/speed_batch.py run --device cpu --sizes 1 --repeats 1 --out results
     """
+    if not _is_here(device):
+        raise typer.BadParameter(
+            f"must be a device that is here, cpu or cuda; got {device!r}", param_hint="--device"
+        )
     console, numbers = Console(width=200), whole_numbers(sizes, "--sizes")
     policy, given = batch_speed.read_problems(problems, max(*numbers, keep))
     planner = policy.planner
@@ -88,6 +92,14 @@ def run(
         console.print(row)
         text += json.dumps(row) + "\n"
         write_text(out / "speed_batch.jsonl", text)
+
+
+def _is_here(device: str) -> bool:
+    try:
+        kind = torch.device(device).type
+    except RuntimeError:
+        return False
+    return kind == "cpu" or (kind == "cuda" and torch.cuda.is_available())
 
 
 @app.command()
