@@ -55,6 +55,7 @@ from smp_planner import (
 from smp_planner.adaptation import adaptation
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_results
+from smp_planner.benchmark.options import run_command
 from smp_planner.benchmark.results_folder import RESULTS
 from smp_planner.movement_primitives import GaussianBasis, ProMP
 
@@ -497,4 +498,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

@@ -18,6 +18,7 @@ from smp_planner.benchmark.options import (
     Names,
     chosen_names,
     pooled,
+    tell,
     tuning_seeds,
 )
 from smp_planner.benchmark.results_folder import ResultsError
@@ -26,7 +27,7 @@ from smp_planner.experiments.controls.control_table import CONTROLS, ControlCell
 
 app = CommandLine(add_completion=False, no_args_is_help=True)
 
-_Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+_Out = Annotated[Path, typer.Option(help="Folder of the results.", file_okay=False)]
 
 
 @app.command()
@@ -89,7 +90,7 @@ def table(out: _Out = Path("results/controls")) -> None:
         written = control_table.write_table(out)
     except ResultsError as error:
         raise typer.BadParameter(str(error), param_hint="--out") from error
-    Console().print(f"wrote {written}", soft_wrap=True)
+    tell(f"wrote {written}")
 
 
 if __name__ == "__main__":

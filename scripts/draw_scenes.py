@@ -15,11 +15,13 @@ from rich.progress import track
 from smp_gym.inspection.sheets import draw_sheet, pictures
 from smp_gym.scene import EVALUATION_SEEDS_START, TASKS
 from smp_gym.suites import SUITES, suite_cells
-from smp_planner.benchmark.options import Names, chosen_names, run_command, split_names
+from smp_planner.benchmark.options import Names, chosen_names, run_command, split_names, tell
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the sheets.")] = Path("results/scenes"),
+    out: Annotated[Path, typer.Option(help="Folder of the sheets.", file_okay=False)] = Path(
+        "results/scenes"
+    ),
     suite: Annotated[str, typer.Option(help=f"One of {', '.join(SUITES)}.")] = "standard",
     tasks: Names = "",
     cells: Names = "",
@@ -44,7 +46,7 @@ def main(
     console = Console()
     for cell in track(chosen, description="sheets", console=console):
         draw_sheet(out / f"{cell.name}.png", cell.name, seeds, pictures(cell, seeds))
-    console.print(f"{len(chosen)} sheets in {out}")
+    tell(f"{len(chosen)} sheets in {out}")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.datasets.minari_export import dataset_path, export_demonstrations
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.benchmark.options import progress_bar, run_command
+from smp_planner.benchmark.options import progress_bar, run_command, tell
 from smp_planner.policy.tracking import Track, gripper_event
 
 
@@ -36,7 +36,10 @@ def main(
     ] = TASKS[0],
     out: Annotated[
         Path | None,
-        typer.Option(help="Root of the data sets; default MINARI_DATASETS_PATH or ~/.minari."),
+        typer.Option(
+            help="Root of the data sets; default MINARI_DATASETS_PATH or ~/.minari.",
+            file_okay=False,
+        ),
     ] = None,
     dataset_id: Annotated[
         str | None, typer.Option(help="Default smp_gym/TASK/demonstrations-v1.")
@@ -69,13 +72,11 @@ def main(
                 finished=lambda _: bar.advance(playing),
             )
     except (ImportError, OSError, RuntimeError, ValueError) as error:
-        console.print(f"nothing written: {error}", highlight=False, soft_wrap=True)
+        tell(f"nothing written: {error}")
         raise typer.Exit(1) from error
-    console.print(
+    tell(
         f"wrote {dataset.id}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, "
-        f"in {dataset_path(dataset.id)}",
-        highlight=False,
-        soft_wrap=True,
+        f"in {dataset_path(dataset.id)}"
     )
 
 

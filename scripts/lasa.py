@@ -6,7 +6,6 @@ settings of the methods.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -31,7 +30,7 @@ app = CommandLine(
 
 _Particles = Annotated[int, typer.Option(min=1, help="Of each plan.")]
 _Repetitions = Annotated[int, typer.Option(min=1, help="With seeds from 0.")]
-_Out = Annotated[Path, typer.Option(help="Folder to write.")]
+_Out = Annotated[Path, typer.Option(help="Folder to write.", file_okay=False)]
 _Obstacles = Annotated[list[str] | None, typer.Option(help="Circle x,y,r in mm; repeatable.")]
 _Vias = Annotated[
     list[str] | None,
@@ -89,6 +88,11 @@ def modulate(
 
     Example: python scripts/lasa.py modulate --shape Sshape --via 0.5,20,25 --goal 5,-5
     """
+    if not shape and (obstacle or via or goal):
+        raise typer.BadParameter(
+            f"--obstacle, --via and --goal need it, got {obstacle or via or goal!r} without",
+            param_hint="--shape",
+        )
     scenes = {"a": FIGURE_2A, "b": FIGURE_2B}
     if shape:
         scenes = {shape: scene_of(shape, obstacle, via, goal)}
@@ -134,14 +138,5 @@ def tune(
         Console().print(f"best: {summaries[tuning.best(summaries)]['candidate']}")
 
 
-def main() -> None:
-    """Run the commands; an error is printed in one line, with exit code 2."""
-    try:
-        app()
-    except (ValueError, ModuleNotFoundError) as error:
-        Console(stderr=True).print(f"error: {error}", style="bold red", markup=False)
-        sys.exit(2)
-
-
 if __name__ == "__main__":
-    main()
+    app()

@@ -12,14 +12,14 @@ import typer
 from rich.console import Console
 
 from smp_gym.scene import DIFFICULTIES
-from smp_planner.benchmark.options import Names, chosen_names, run_command, tuning_seeds
+from smp_planner.benchmark.options import one_of, run_command, tuning_seeds
 from smp_planner.experiments.controls.blind_detours import BLOCKED_TASKS, add_blind_detour
 from smp_planner.experiments.controls.detour import SearchSettings
 
 
 def main(
     task: Annotated[str, typer.Option(help=f"One of {', '.join(BLOCKED_TASKS)}.")],
-    rounds: Names = "hard,hard,medium,easy",
+    rounds: Annotated[str, typer.Option(help="Separated by commas.")] = "hard,hard,medium,easy",
     scenes: Annotated[int, typer.Option(min=4, help="Scenes of each round.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Of the first scene; below 80000.")] = 20000,
     generations: Annotated[int, typer.Option(min=1, help="Of each restart.")] = 20,
@@ -29,13 +29,8 @@ def main(
 
     Example: python scripts/learn_blind_detours.py --task Placement --rounds hard,hard,medium
     """
-    if task not in BLOCKED_TASKS:
-        raise typer.BadParameter(
-            f"must be one of {', '.join(BLOCKED_TASKS)}, got {task!r}", param_hint="--task"
-        )
-    names = rounds.split(",")
-    for name in names:
-        chosen_names(name, DIFFICULTIES, "--rounds")
+    one_of(task, BLOCKED_TASKS, "--task")
+    names = [one_of(name, DIFFICULTIES, "--rounds") for name in rounds.split(",")]
     seeds = tuning_seeds(seed, scenes * len(names))
     settings = SearchSettings(generations=generations, restarts=restarts)
     for number, difficulty in enumerate(names):

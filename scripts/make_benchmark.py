@@ -43,7 +43,9 @@ def _duration(seconds: float) -> str:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the lists.")] = Path("envs_assets/benchmark"),
+    out: Annotated[Path, typer.Option(help="Folder of the lists.", file_okay=False)] = Path(
+        "envs_assets/benchmark"
+    ),
     suites: Names = "",
     tasks: Names = "",
     cells: Names = "",

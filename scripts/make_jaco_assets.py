@@ -16,13 +16,18 @@ from rich.console import Console
 from smp_gym.assets import asset_path
 from smp_gym.jaco_assets.coverage import coverage_table
 from smp_gym.jaco_assets.description import write
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 
 
 def main(
-    out: Annotated[Path | None, typer.Option(help="Folder to write into.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write into.", file_okay=False)] = None,
     meshes: Annotated[
-        Path | None, typer.Option(help="The vendor's meshes (.dae), to measure coverage against.")
+        Path | None,
+        typer.Option(
+            help="The vendor's meshes (.dae), to measure coverage against.",
+            exists=True,
+            file_okay=False,
+        ),
     ] = None,
 ) -> None:
     """Write URDF, visuals and spheres of the arm, and measure them if meshes are given.
@@ -33,10 +38,9 @@ def main(
     """
     folder = out or asset_path("jaco")
     write(folder)
-    console = Console()
-    console.print(f"wrote {folder}")
+    tell(f"wrote {folder}")
     if meshes is not None:
-        console.print(coverage_table(meshes))
+        Console().print(coverage_table(meshes))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ def main(
     trained: Annotated[
         bool, typer.Option(help="Also train a map from points in each scene (8 s each).")
     ] = True,
-    seed: Annotated[int, typer.Option(help="Of scenes and query points.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of scenes and query points.")] = 0,
 ) -> None:
     """Print a table of every map's accuracy and time, on one thread.
 

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from smp_planner.benchmark.options import chosen_names, run_command
+from smp_planner.benchmark.options import chosen_names, run_command, tell
 from smp_planner.experiments.particle_figures import (
     draw_before_and_after,
     draw_two_modes,
@@ -22,7 +21,9 @@ _TWO_MODES = ("Placement", "PushLiftBox")
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the files.")] = Path("results/figures"),
+    out: Annotated[Path, typer.Option(help="Folder of the files.", file_okay=False)] = Path(
+        "results/figures"
+    ),
     figures: Annotated[
         str,
         typer.Option(help="Of particles (Fig. 3), sides (4) and modes (5, 6). Default: all."),
@@ -35,21 +36,20 @@ def main(
 
     Example: python scripts/particle_figures.py --figures particles,sides
     """
-    console = Console()
     out.mkdir(parents=True, exist_ok=True)
     chosen = chosen_names(figures, _FIGURES, "--figures")
     if "particles" in chosen:
         draw_before_and_after(tuple(load_scenes().values()), out / "particles.png")
-        console.print(f"wrote {out / 'particles.png'}")
+        tell(f"wrote {out / 'particles.png'}")
     if "sides" in chosen:
         names = [out / f"sides_{side}.mp4" for side in ("left", "right")]
         left, right = draw_two_sides(out / "sides.png", (names[0], names[1]))
-        console.print(f"wrote {out / 'sides.png'}: left {_said(left)}, right {_said(right)}")
+        tell(f"wrote {out / 'sides.png'}: left {_said(left)}, right {_said(right)}")
     for task in _TWO_MODES if "modes" in chosen else ():
         pair = find_two_modes(task, range(seeds))
         names = [out / f"modes_{task}_{side}.mp4" for side in ("over", "beside")]
         over, beside = draw_two_modes(pair, out / f"modes_{task}.png", (names[0], names[1]))
-        console.print(
+        tell(
             f"wrote {out / f'modes_{task}.png'}: seed {pair.scene.seed}, the paths "
             f"{pair.distance:.3f} m apart; over {_said(over)}, beside {_said(beside)}"
         )

@@ -14,13 +14,15 @@ import typer
 from rich.console import Console
 
 from smp_gym.tasks import task_definition, task_names
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 
 
 def main(
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write; default envs_assets/demonstrations/TASK.npz."),
+        typer.Option(
+            help="File to write; default envs_assets/demonstrations/TASK.npz.", dir_okay=False
+        ),
     ] = None,
     task: Annotated[str, typer.Option(help=f"One of {', '.join(task_names())}.")] = "Placement",
 ) -> None:
@@ -32,10 +34,11 @@ def main(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     except RuntimeError as error:
-        console.print(f"nothing written: {error}")
+        tell(f"nothing written: {error}")
         raise typer.Exit(1) from error
+    out.parent.mkdir(parents=True, exist_ok=True)
     demonstrations.save(out)
-    console.print(f"wrote {out}")
+    tell(f"wrote {out}")
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from smp_planner.agents.shipping import ship_agent
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 
 
 def main(
@@ -17,14 +16,19 @@ def main(
         Path,
         typer.Argument(
             help="Card of a trained or a shipped agent, or the folder of scripts/train_agent.py, "
-            "whose final.zip is read: it runs what that holds, pickled."
+            "whose final.zip is read: it runs what that holds, pickled.",
+            exists=True,
         ),
     ],
     results: Annotated[
-        Path | None, typer.Option(help="Folder of smp-bench run with its episodes.")
+        Path | None,
+        typer.Option(
+            help="Folder of smp-bench run with its episodes.", exists=True, file_okay=False
+        ),
     ] = None,
     folder: Annotated[
-        Path | None, typer.Option(help="To write into. Default: envs_assets/agents/.")
+        Path | None,
+        typer.Option(help="To write into. Default: envs_assets/agents/.", file_okay=False),
     ] = None,
 ) -> None:
     """Write card and weights of SOURCE into the package, with the success that RESULTS hold.
@@ -35,7 +39,7 @@ def main(
         written = ship_agent(source, results, folder)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    Console().print(f"wrote {written}", soft_wrap=True)
+    tell(f"wrote {written}")
 
 
 if __name__ == "__main__":

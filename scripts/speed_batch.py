@@ -16,18 +16,21 @@ import typer
 from rich.console import Console
 
 from smp_gym.atomic_files import write_text
+from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark import batch_speed
-from smp_planner.benchmark.options import CommandLine, split_names
+from smp_planner.benchmark.options import CommandLine, one_of, tell, whole_numbers
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 
 app = CommandLine(add_completion=False, help=__doc__)
-Problems = Annotated[Path, typer.Option(help="File of problems, made by `prepare`.")]
+Problems = Annotated[
+    Path, typer.Option(help="File of problems, made by `prepare`.", exists=True, dir_okay=False)
+]
 _PROBLEMS = Path("results/problems.npz")
 
 
 @app.command()
 def prepare(
-    out: Annotated[Path, typer.Option(help="File to write.")] = _PROBLEMS,
+    out: Annotated[Path, typer.Option(help="File to write.", dir_okay=False)] = _PROBLEMS,
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
     difficulty: Annotated[str, typer.Option(help="Of its scenes.")] = "hard",
     count: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 1024,
@@ -37,8 +40,10 @@ def prepare(
 
     Example: python scripts/speed_batch.py prepare --count 64 --out results/problems.npz
     """
+    one_of(task, TASKS, "--task")
+    one_of(difficulty, DIFFICULTIES, "--difficulty")
     batch_speed.prepare(task, difficulty, count, seed, out)
-    Console().print(f"{count} scenes of {task} in {out}, {out.stat().st_size / 1e6:.1f} MB")
+    tell(f"{count} scenes of {task} in {out}, {out.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()
@@ -50,7 +55,9 @@ def run(
     naive: Annotated[int, typer.Option(min=0, help="Most scenes of naive autograd.")] = 16,
     plans: Annotated[int, typer.Option(min=0, help="Most scenes of whole plans.")] = 64,
     keep: Annotated[int, typer.Option(min=1, help="Scenes whose particles are kept.")] = 256,
-    out: Annotated[Path, typer.Option(help="Folder of rows and particles.")] = Path("results"),
+    out: Annotated[
+        Path, typer.Option(help="Folder of rows and particles.", file_okay=False)
+    ] = Path("results"),
 ) -> None:
     """Time descents, plans and gradients, and write rows and particles.
 
@@ -59,7 +66,11 @@ def run(
 
     Example: python scripts/speed_batch.py run --device cpu --sizes 1 --repeats 1 --out results
     """
-    console, numbers = Console(width=200), [int(size) for size in split_names(sizes)]
+    if not _is_here(device):
+        raise typer.BadParameter(
+            f"must be a device that is here, cpu or cuda; got {device!r}", param_hint="--device"
+        )
+    console, numbers = Console(width=200), whole_numbers(sizes, "--sizes")
     policy, given = batch_speed.read_problems(problems, max(*numbers, keep))
     planner = policy.planner
     assert isinstance(planner, PrimitivePlanner)
@@ -83,12 +94,20 @@ def run(
         write_text(out / "speed_batch.jsonl", text)
 
 
+def _is_here(device: str) -> bool:
+    try:
+        kind = torch.device(device).type
+    except RuntimeError:
+        return False
+    return kind == "cpu" or (kind == "cuda" and torch.cuda.is_available())
+
+
 @app.command()
 def verify(
     problems: Problems = _PROBLEMS,
-    particles: Annotated[Path, typer.Option(help="What `run` wrote.")] = Path(
-        "results/particles.npz"
-    ),
+    particles: Annotated[
+        Path, typer.Option(help="What `run` wrote.", exists=True, dir_okay=False)
+    ] = Path("results/particles.npz"),
     count: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 256,
 ) -> None:
     """Check particles exactly, and compare with the device's check.

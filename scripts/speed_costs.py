@@ -17,7 +17,7 @@ def main(
     check_steps: Annotated[int, typer.Option(min=2, help="Steps of the exact check.")] = 200,
     obstacles: Annotated[int, typer.Option(min=0, help="Boxes besides the table.")] = 6,
     repeats: Annotated[int, typer.Option(min=1, help="Calls of which to take the median.")] = 30,
-    seed: Annotated[int, typer.Option(help="Of the scene and the trajectories.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the scene and the trajectories.")] = 0,
 ) -> None:
     """Time the costs of one particle set on one thread, side by side.
 

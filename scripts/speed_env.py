@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from smp_gym.inspection.speed import known_ids, together
-from smp_planner.benchmark.options import Names, chosen_names, run_command, split_names
+from smp_planner.benchmark.options import Names, chosen_names, run_command, whole_numbers
 
 
 def main(
@@ -28,12 +28,7 @@ def main(
     """
     console = Console()
     chosen = chosen_names(ids, known_ids(), "--ids")
-    try:
-        numbers = [int(number) for number in split_names(processes)]
-    except ValueError:
-        raise typer.BadParameter(
-            f"must be whole numbers, got {processes!r}", param_hint="--processes"
-        ) from None
+    numbers = whole_numbers(processes, "--processes")
     title = f"all processes together, on {os.cpu_count()} cores"
     result = Table(title=title, title_justify="left")
     result.add_column("id", no_wrap=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from smp_gym.atomic_files import write_text
-from smp_planner.benchmark.options import run_command
+from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.options import chosen_names, one_of, run_command, tell, whole_numbers
 from smp_planner.benchmark.plan_speed import (
     Measurement,
     Variant,
@@ -33,14 +33,21 @@ def main(
     scenes: Annotated[int, typer.Option(min=1, help="Scenes of each task.")] = 50,
     first_seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 71_000,
     beside: Annotated[
-        Path | None, typer.Option(help="Folder of another version of the packages to time, too.")
+        Path | None,
+        typer.Option(
+            help="Folder of another version of the packages to time, too.",
+            exists=True,
+            file_okay=False,
+        ),
     ] = None,
     threads: Annotated[str, typer.Option(help="Numbers of threads, with commas.")] = "1,2",
     busy: Annotated[bool, typer.Option(help="Once more beside a process that computes.")] = True,
     autograd: Annotated[int, typer.Option(min=0, help="Scenes planned by autograd, too.")] = 2,
     ompl: Annotated[int, typer.Option(min=0, help="Scenes planned by OMPL, too.")] = 2,
     grow: Annotated[bool, typer.Option(help="How the time grows with the problem.")] = True,
-    out: Annotated[Path | None, typer.Option(help="Markdown file for the tables.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Markdown file for the tables.", dir_okay=False)
+    ] = None,
 ) -> None:
     """Time plans of the same scenes, in turns, and print tables.
 
@@ -49,7 +56,9 @@ def main(
 
     Example: git worktree add ../before COMMIT; python scripts/speed_plan.py --beside ../before
     """
-    counts = [int(count) for count in threads.split(",")]
+    chosen = chosen_names(tasks, TASKS, "--tasks")
+    one_of(difficulty, DIFFICULTIES, "--difficulty")
+    counts = whole_numbers(threads, "--threads")
     variants = [Variant(f"{count} threads", count) for count in counts]
     if busy:
         variants.append(Variant(f"{counts[-1]} threads, busy", counts[-1], busy=1))
@@ -64,7 +73,7 @@ def main(
         settings = {"method": _OMPL, "algorithm": "RRTConnect", "particles": 42, "seconds": 5.0}
         slow.append((ompl, Variant("OMPL RRT-Connect", settings=settings)))
     found: list[Measurement] = []
-    for task in tasks.split(","):
+    for task in chosen:
         found += measure(task, difficulty, range(first_seed, first_seed + scenes), variants)
         for count, variant in slow:
             found += measure(task, difficulty, range(first_seed, first_seed + count), [variant])
@@ -72,8 +81,9 @@ def main(
     if grow:
         tables.append(growth())
     text = "\n\n".join(markdown(table) for table in tables) + "\n"
-    Console().print(text, highlight=False, soft_wrap=True)
+    tell(text)
     if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, text)
 
 

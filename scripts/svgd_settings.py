@@ -28,7 +28,7 @@ from smp_planner.inference.smc import SMCSettings
 
 app = CommandLine(add_completion=False, no_args_is_help=True)
 
-_Out = Annotated[Path, typer.Option(help="Folder of the tables.")]
+_Out = Annotated[Path, typer.Option(help="Folder of the tables.", file_okay=False)]
 _Difficulty = Annotated[str, typer.Option(help="Of the scenes.")]
 _Scenes = Annotated[int, typer.Option(min=2, help="Of each task.")]
 _Seed = Annotated[int, typer.Option(min=0, help="Of the first scene.")]
@@ -46,7 +46,9 @@ def lasa(
     repetitions: Annotated[int, typer.Option(min=1, help="Of each setting.")] = 20,
     reference_particles: Annotated[int, typer.Option(min=2, help="Of each reference run.")] = 2000,
     reference_runs: Annotated[int, typer.Option(min=1, help="Of the reference.")] = 10,
-    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("results/svgd_settings"),
+    out: Annotated[Path, typer.Option(help="Folder to write.", file_okay=False)] = Path(
+        "results/svgd_settings"
+    ),
 ) -> None:
     """Adapt the S of LASA, in scenes whose exact posterior sequential Monte Carlo draws from.
 

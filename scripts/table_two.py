@@ -10,7 +10,15 @@ from rich.console import Console
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.options import CommandLine, Jobs, Names, chosen_names, progress_bar
+from smp_planner.benchmark.options import (
+    CommandLine,
+    Jobs,
+    Names,
+    chosen_names,
+    print_error,
+    progress_bar,
+    tell,
+)
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.runner import EpisodeFailedError, WorkerDiedError
 from smp_planner.experiments.table_two import figure, repetitions, report, running, scenes
@@ -19,7 +27,7 @@ app = CommandLine(add_completion=False)
 
 _CHOOSING = ("promp_diff", "prompt_o", "cpromp", "smp")
 
-_Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+_Out = Annotated[Path, typer.Option(help="Folder of the results.", file_okay=False)]
 
 
 @app.command()
@@ -55,7 +63,7 @@ def run(
     except ResultsError as error:
         raise typer.BadParameter(str(error), param_hint="--out") from error
     except (WorkerDiedError, EpisodeFailedError) as error:
-        console.print(f"error: {error}", style="red")
+        print_error(str(error))
         raise typer.Exit(1) from error
     show(out)
 
@@ -67,7 +75,9 @@ def show(
         list[Path] | None,
         typer.Option(
             help="Folder whose rows take the place of those of the same tasks and methods; may be "
-            "given several times."
+            "given several times.",
+            exists=True,
+            file_okay=False,
         ),
     ] = None,
 ) -> None:
@@ -86,7 +96,7 @@ def show(
     figure.draw_table(summary, out / "table_two.png")
     written = ("trajectories.csv", "repetitions.csv", "summary.json", "table_two.md")
     for name in (*written, "table_two.png"):
-        Console().print(f"wrote {out / name}", soft_wrap=True)
+        tell(f"wrote {out / name}")
 
 
 @app.command()

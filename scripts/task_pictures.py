@@ -8,21 +8,22 @@ from typing import Annotated
 import imageio.v3 as imageio
 import numpy as np
 import typer
-from rich.console import Console
 
 from smp_gym.atomic_files import replacing
 from smp_gym.inspection.sheets import pictures
 from smp_gym.scene import TASKS
 from smp_gym.suites import Cell
 from smp_gym.tasks.registry import task_definition
-from smp_planner.benchmark.options import Names, chosen_names, run_command
+from smp_planner.benchmark.options import Names, chosen_names, run_command, tell
 
 _DIFFICULTIES = ("easy", "hard")
 _SEEDS = range(79_200, 79_203)
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder of the pictures.")] = Path("docs/tasks"),
+    out: Annotated[Path, typer.Option(help="Folder of the pictures.", file_okay=False)] = Path(
+        "docs/tasks"
+    ),
     tasks: Names = "",
 ) -> None:
     """Take a picture of each task, or of some: three easy scenes above three hard ones.
@@ -30,13 +31,12 @@ def main(
     Example: python scripts/task_pictures.py --tasks DrawS --out results/pictures
     """
     out.mkdir(parents=True, exist_ok=True)
-    console = Console()
     for task in chosen_names(tasks, TASKS, "--tasks"):
         rows = [np.hstack(pictures(Cell(task, name), _SEEDS)) for name in _DIFFICULTIES]
         path = out / f"{task_definition(task).package.rpartition('.')[2]}.png"
         with replacing(path) as aside:
             imageio.imwrite(aside, np.vstack(rows), extension=".png")
-        console.print(str(path), soft_wrap=True)
+        tell(str(path))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from smp_gym.assets import asset_path
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.training import Training
-from smp_planner.benchmark.options import Interrupted, one_of, progress_bar, run_command
+from smp_planner.benchmark.options import Interrupted, one_of, progress_bar, run_command, tell
 
 
 def main(
@@ -26,11 +26,16 @@ def main(
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 300_000,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, exploration, episodes.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; by default below results/agents/.")
+        Path | None,
+        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
     ] = None,
     settings: Annotated[
         Path | None,
-        typer.Option(help="Hyper-parameters; by default the task's in envs_assets/agents/."),
+        typer.Option(
+            help="Hyper-parameters; by default the task's in envs_assets/agents/.",
+            exists=True,
+            dir_okay=False,
+        ),
     ] = None,
     every: Annotated[int, typer.Option(min=1, help="Steps between evaluations.")] = 10_000,
     episodes: Annotated[int, typer.Option(min=1, help="Of each evaluation.")] = 50,
@@ -79,7 +84,7 @@ def main(
             f"episodes, {result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after "
             f"{result.steps} steps"
         )
-    console.print(f"see {folder}")
+    tell(f"see {folder}")
 
 
 if __name__ == "__main__":

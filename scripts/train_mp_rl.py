@@ -22,6 +22,7 @@ from smp_planner.benchmark.options import (
     one_of,
     progress_bar,
     run_command,
+    tell,
 )
 from smp_planner.planners.bump_planner import LEARNED
 
@@ -37,11 +38,16 @@ def main(
         int, typer.Option(min=1, help="Steps of the costs and batches in all.")
     ] = 600,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; by default below results/agents/.")
+        Path | None,
+        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
     ] = None,
     settings: Annotated[
         Path | None,
-        typer.Option(help="Settings; by default the agent's in envs_assets/agents/."),
+        typer.Option(
+            help="Settings; by default the agent's in envs_assets/agents/.",
+            exists=True,
+            dir_okay=False,
+        ),
     ] = None,
 ) -> None:
     """Train an agent; the same command goes on after an interruption.
@@ -81,7 +87,7 @@ def main(
         console.print("interrupted; the same command goes on from the last checkpoint")
         raise
     last = dataclasses.asdict(training.curve[-1])
-    console.print(
+    tell(
         f"{agent}, {task}: {last['clear']:.1%} of the last trajectories, in "
         f"{last['scenes_solved']:.1%} of their scenes, are clear after {training.trajectories} "
         f"trajectories and {training.cpu_seconds:.0f} CPU seconds; see {folder}"

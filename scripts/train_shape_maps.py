@@ -13,19 +13,21 @@ import typer
 from rich.console import Console
 
 from smp_gym.assets import asset_path
-from smp_planner.benchmark.options import run_command
+from smp_planner.benchmark.options import run_command, tell
 from smp_planner.occupancy.shape_training import train_shape_networks
 
 
 def main(
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write (.npz without pickle); by default the packaged one."),
+        typer.Option(
+            help="File to write (.npz without pickle); by default the packaged one.", dir_okay=False
+        ),
     ] = None,
     hidden: Annotated[int, typer.Option(min=1, help="Units in each of the two layers.")] = 16,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of L-BFGS, each on new points.")] = 8,
     samples: Annotated[int, typer.Option(min=1, help="Points in each round.")] = 20_000,
-    seed: Annotated[int, typer.Option(help="Of initial weights and points.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of initial weights and points.")] = 0,
 ) -> None:
     """Train one network per obstacle shape (box, cylinder, sphere): about two minutes on one core.
 
@@ -42,7 +44,7 @@ def main(
     path = out or asset_path("occupancy", "shape_networks.npz")
     path.parent.mkdir(parents=True, exist_ok=True)
     networks.save(path)
-    console.print(f"wrote {path}")
+    tell(f"wrote {path}")
 
 
 if __name__ == "__main__":

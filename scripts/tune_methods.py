@@ -23,9 +23,9 @@ from smp_planner.experiments.method_tuning import SPACES, cells_of, trial, trial
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="JSON file of all trials; the command resumes.")] = Path(
-        "results/tuning/trials.json"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="JSON file of all trials; the command resumes.", dir_okay=False)
+    ] = Path("results/tuning/trials.json"),
     tasks: Names = "",
     methods: Names = "",
     candidates: Annotated[int, typer.Option(min=1, help="Of each method, on each task.")] = 30,

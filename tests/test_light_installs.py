@@ -88,6 +88,30 @@ def _modules(*extras: str) -> set[str]:
     return {module for extra in extras for module in EXTRAS[extra]}
 
 
+COMMAND = """
+from smp_gym.console_script import smp_bench
+
+try:
+    smp_bench()
+except SystemExit as end:
+    print(end.code)
+"""
+
+
+def test_the_command_says_in_one_line_what_it_needs() -> None:
+    for refused in (_modules("bench"), _modules("planner"), {"typer"}):
+        done = subprocess.run(
+            [sys.executable, "-c", REFUSING.format(refused=refused) + COMMAND],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.stdout == "2\n"
+        (line,) = done.stderr.splitlines()
+        assert line.startswith("error: smp-bench needs ")
+        assert line.endswith('pip install "smp-gym[bench]"')
+
+
 def test_environments_need_no_extra() -> None:
     refused = {*_modules(*EXTRAS), "pandas", "rich", "collada"}
     *_, reward, error = _printed(refused, STEPPING)

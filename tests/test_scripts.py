@@ -22,6 +22,7 @@ WITH_COMMANDS = {
 EXAMPLES = [
     (name, command)
     for name in (
+        "attack_commands",
         "check_environments",
         "check_witnesses",
         "controls",

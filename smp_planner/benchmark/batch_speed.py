@@ -18,6 +18,7 @@ from torch import Tensor
 
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.atomic_files import replacing
+from smp_gym.untrusted_files import read_arrays, read_file
 from smp_planner.adaptation.stein import SteinSettings
 from smp_planner.batch.descent import PathRuns, Work
 from smp_planner.batch.plain_costs import PlainCosts
@@ -135,12 +136,16 @@ def read_problems(path: Path, count: int | None = None) -> tuple[PlannerPolicy, 
     Args:
         path: what `prepare` wrote.
         count: of problems; None reads all.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no such file.
     """
-    with np.load(path, allow_pickle=False) as data:
-        task = str(data["task"])
-        prefix = "observation/"
-        columns = {k.removeprefix(prefix): data[k] for k in data if k.startswith(prefix)}
-    policy = PlannerPolicy.make("smp", task)
+    data, prefix = read_arrays(read_file(path), str(path)), "observation/"
+    columns = {k.removeprefix(prefix): data[k] for k in data if k.startswith(prefix)}
+    if "task" not in data or not columns:
+        raise ValueError(f"{path} must hold a task and observations, as `prepare` writes them")
+    policy = PlannerPolicy.make("smp", str(data["task"]))
     number = len(next(iter(columns.values())))
     rows = range(number if count is None else min(count, number))
     return policy, [policy.problem({k: c[row] for k, c in columns.items()}) for row in rows]
@@ -363,9 +368,15 @@ def exact_shares(
         planner: gives the basis.
         problems: those of the file.
         path: what `write_particles` wrote.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no such file.
     """
-    with np.load(path, allow_pickle=False) as data:
-        weights, on_device = torch.from_numpy(data["weights"]).double(), data["good"]
+    data = read_arrays(read_file(path), str(path))
+    if not {"weights", "good"} <= set(data):
+        raise ValueError(f"{path} must hold weights and good, as `run` writes them")
+    weights, on_device = torch.from_numpy(data["weights"]).double(), data["good"]
     count = min(len(problems), len(weights))
     settings, single = planner.plan_settings, planner.prior.single
     exact = [

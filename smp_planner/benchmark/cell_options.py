@@ -63,7 +63,9 @@ Noise = Annotated[
 
 Lists = Annotated[
     Path | None,
-    typer.Option(help="Folder of frozen lists. Default: that of the package."),
+    typer.Option(
+        help="Folder of frozen lists. Default: that of the package.", exists=True, file_okay=False
+    ),
 ]
 """Option for where the frozen lists are."""
 

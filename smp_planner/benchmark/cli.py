@@ -101,7 +101,9 @@ def list_command() -> None:
 
 @app.command()
 def run(
-    out: Annotated[Path, typer.Option(help="Folder of the results; made if there is none.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; made if there is none.", file_okay=False)
+    ],
     suite: Annotated[
         str,
         typer.Option(
@@ -299,7 +301,9 @@ def _show(summary: Mapping[str, Any], console: Console) -> None:
 
 @app.command()
 def show(
-    folder: Annotated[Path, typer.Argument(help="Folder that `run` wrote, finished or not.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder that `run` wrote, finished or not.", file_okay=False)
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Show the tables of a folder of results again."""

@@ -65,7 +65,10 @@ def draw_episodes(
 
 
 def draw(
-    out: Annotated[Path, typer.Option(help="Folder of figure and video; made if there is none.")],
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder of figure and video; made if there is none.", file_okay=False),
+    ],
     task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
     method: Method = "smp",
     difficulty: Difficulty = None,

@@ -22,7 +22,9 @@ _FORMATS = ("csv", "parquet", "npz")
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(help="Folder that `run` wrote, finished or not.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder that `run` wrote, finished or not.", file_okay=False)
+    ],
     format: Annotated[
         str,
         typer.Option(
@@ -56,6 +58,7 @@ def export(
     chosen = _chosen(rows, cells, methods, seeds, [cell.name for cell in manifest.cells])
     path = out or folder / ("particles" if format == "npz" else f"episodes.{format}")
     console = Console(highlight=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
         path.mkdir(parents=True, exist_ok=True)
         write = partial(export_episode, manifest.player, path)
@@ -96,8 +99,12 @@ def _chosen(
 
 
 def import_results(
-    old: Annotated[Path, typer.Argument(help="Folder that an older version wrote.")],
-    out: Annotated[Path, typer.Option(help="Folder of the results; made if there is none.")],
+    old: Annotated[
+        Path, typer.Argument(help="Folder that an older version wrote.", file_okay=False)
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; made if there is none.", file_okay=False)
+    ],
 ) -> None:
     """Copy results of an older version (episodes.jsonl) into a folder of today.
 

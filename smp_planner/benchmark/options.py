@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+import math
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar, get_type_hints
 
 import typer
 from rich.console import Console
@@ -21,7 +26,6 @@ from rich.progress import (
 )
 
 from smp_gym.scene import EVALUATION_SEEDS_START
-from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
@@ -36,7 +40,9 @@ __all__ = [
     "progress_bar",
     "run_command",
     "split_names",
+    "tell",
     "tuning_seeds",
+    "whole_numbers",
 ]
 
 Names = Annotated[str, typer.Option(help="Separated by commas. Default: all.")]
@@ -44,6 +50,12 @@ Names = Annotated[str, typer.Option(help="Separated by commas. Default: all.")]
 
 Jobs = Annotated[int, typer.Option(min=1, help="Worker processes.")]
 """Option for the number of worker processes."""
+
+LARGEST = 2**31 - 1
+"""Largest whole number of an option: more than this neither memory nor time is there for."""
+
+_REFUSALS = (OSError, ValueError, ImportError, MemoryError)
+"""Errors that say what is wrong with a command line, or with the machine that it is run on."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -60,17 +72,34 @@ class CommandLine(typer.Typer):
     """A command line of which every end has an exit status and at most one line of words.
 
     The terminal's Ctrl-C, its closing and a request to terminate raise `Interrupted` where the
-    command is, so that it leaves in order; an error of the operating system, as of a full disk or
-    of a folder that cannot be written, and one of a folder of results are printed, with status 2.
+    command is, so that it leaves in order. Numbers and paths are checked before a command begins.
+    An error that refuses a value, of the operating system, as of a full disk or of a folder that
+    cannot be written, of a folder of results, of a package that is not installed, or of memory is
+    printed, with status 2; Python's development mode (`python -X dev`) shows where it came from.
     """
+
+    def command(self, *args: Any, **kwargs: Any) -> Callable[[Any], Any]:
+        """Return a decorator that adds a function as a command, and gives it back as it was."""
+        add = super().command(*args, **kwargs)
+
+        def decorate(function: Any) -> Any:
+            add(_with_checks(function))
+            return function
+
+        return decorate
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Read the command line and run its command."""
+        # A name that is no text is printed with escapes.
+        if hasattr(sys.stdout, "reconfigure"):
+            sys.stdout.reconfigure(errors="backslashreplace")
         with _interruptible():
             try:
                 return super().__call__(*args, **kwargs)
-            except (OSError, ResultsError) as error:
-                print_error(_described(error) if isinstance(error, OSError) else str(error))
+            except _REFUSALS as error:
+                if sys.flags.dev_mode:
+                    raise
+                print_error(_described(error))
                 raise SystemExit(2) from None
 
 
@@ -81,13 +110,65 @@ def run_command(function: Callable[..., Any]) -> None:
     app()
 
 
+def _with_checks(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a command that refuses numbers and paths that no command could take."""
+
+    @functools.wraps(function)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        given = inspect.signature(function).bind(*args, **kwargs).arguments
+        for name, value in given.items():
+            for each in value if isinstance(value, (list, tuple)) else (value,):
+                if problem := _problem(each):
+                    raise typer.BadParameter(problem, param_hint=_shown_name(function, name))
+        return function(*args, **kwargs)
+
+    return checked
+
+
+def _shown_name(function: Callable[..., Any], name: str) -> str:
+    """Return the name on the command line of a parameter of a command."""
+    hint = get_type_hints(function, include_extras=True)[name]
+    (info,) = getattr(hint, "__metadata__", None) or (typer.Option(),)
+    if isinstance(info, typer.models.ArgumentInfo):
+        return str(info.metavar or name.upper())
+    names = [declared for declared in info.param_decls or () if declared.startswith("--")]
+    return names[0] if names else f"--{name.strip('_').replace('_', '-')}"
+
+
+def _problem(value: Any) -> str:
+    """Return what is wrong with a number or a path, whatever it is for; empty if nothing is."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"must be finite, got {value}"
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"must be within ±{LARGEST}, got {value}"
+    if isinstance(value, Path):
+        try:
+            # What is not there can be made where its next folder is one.
+            there = next((path for path in (value, *value.parents) if path.exists()), value)
+        except OSError as error:
+            return f"is no path: {error.strerror}, got {str(value)[:80]!r}"
+        if there != value and not there.is_dir():
+            return f"lies under {str(there)!r}, which is no folder; got {str(value)!r}"
+    return ""
+
+
 def print_error(message: str) -> None:
     """Print one line of error."""
     console = Console(stderr=True, highlight=False)
     console.print(f"[bold red]error:[/] {escape(message)}", soft_wrap=True)
 
 
-def _described(error: OSError) -> str:
+def tell(message: str) -> None:
+    """Print one line as it is: names of files may hold what looks like markup."""
+    Console().print(message, highlight=False, markup=False, soft_wrap=True)
+
+
+def _described(error: BaseException) -> str:
+    if isinstance(error, MemoryError):
+        return f"not enough memory for what is asked: {error}".removesuffix(": ")
+    if not isinstance(error, OSError):
+        lines = [line.strip() for line in str(error).splitlines()]
+        return "; ".join(filter(None, lines)) or type(error).__name__
     reason = error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
     return reason if error.filename is None else f"{reason}: {str(error.filename)!r}"
 
@@ -126,12 +207,36 @@ def chosen_names(text: str, known: Sequence[str], option: str) -> list[str]:
         option: its name on the command line, such as "--tasks".
 
     Raises:
-        typer.BadParameter: a name is not known.
+        typer.BadParameter: a name is not known, or given twice.
     """
     names = list(split_names(text)) or list(known)
     for name in names:
         one_of(name, known, option)
+    if len(set(names)) < len(names):
+        raise typer.BadParameter(f"must be different names, got {text!r}", param_hint=option)
     return names
+
+
+def whole_numbers(text: str, option: str) -> list[int]:
+    """Return the positive whole numbers in a list separated by commas.
+
+    Args:
+        text: what the user gave.
+        option: its name on the command line, such as "--threads".
+
+    Raises:
+        typer.BadParameter: it holds something else, or nothing.
+    """
+    try:
+        numbers = [int(number) for number in split_names(text)]
+    except ValueError:
+        numbers = []
+    if not numbers or not 1 <= min(numbers) <= max(numbers) <= LARGEST:
+        raise typer.BadParameter(
+            f"must be whole numbers from 1 to {LARGEST}, separated by commas; got {text[:80]!r}",
+            param_hint=option,
+        )
+    return numbers
 
 
 def one_of(name: str, known: Sequence[str], option: str) -> str:

@@ -18,10 +18,15 @@ __all__ = ["report"]
 def report(
     folders: Annotated[
         list[Path],
-        typer.Argument(metavar="FOLDER...", help="Folders that `run` wrote.", show_default=False),
+        typer.Argument(
+            metavar="FOLDER...",
+            help="Folders that `run` wrote.",
+            file_okay=False,
+            show_default=False,
+        ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="File to write. Default: standard output.")
+        Path | None, typer.Option(help="File to write. Default: standard output.", dir_okay=False)
     ] = None,
     form: Annotated[
         str,
@@ -83,5 +88,6 @@ def report(
     if out is None:
         typer.echo(text, nl=False)
         return
+    out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, text)
     Console(highlight=False).print(f"wrote {escape(str(out))}", soft_wrap=True)

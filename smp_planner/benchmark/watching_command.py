@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -109,6 +110,12 @@ def watch(
     except ModuleNotFoundError as error:
         raise fail(str(error), 2) from None
     single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
+    try:
+        socket.getaddrinfo(host, port)
+    except (OSError, UnicodeError) as error:
+        raise typer.BadParameter(
+            f"is no address: {error}, got {host!r}", param_hint="--host"
+        ) from None
     replanned = replanning(replan_every, latency)
     manifest, key = one_episode(task, method, seed, half, lists, single, replanned)
     with Console(stderr=True).status("playing the episode"):

@@ -196,5 +196,5 @@ def report(
     if note:
         console.print(note)
     write_tables(rows, summaries, columns, out, name, note)
-    console.print(f"wrote {name}.csv, .json and .md to {out}", soft_wrap=True)
+    console.print(f"wrote {name}.csv, .json and .md to {out}", soft_wrap=True, markup=False)
     return summaries

@@ -1,6 +1,8 @@
 """What command lines share."""
 
 import io
+from pathlib import Path
+from typing import Annotated
 
 import pytest
 import typer
@@ -8,12 +10,16 @@ from rich.console import Console
 
 from smp_gym.scene import EVALUATION_SEEDS_START
 from smp_planner.benchmark.options import (
+    LARGEST,
+    CommandLine,
     chosen_names,
     one_of,
     pooled,
     progress_bar,
     split_names,
+    tell,
     tuning_seeds,
+    whole_numbers,
 )
 
 
@@ -59,3 +65,93 @@ def test_results_of_workers_come_in_order():
     items = [9, -1, 4, 0]
     found = pooled(abs, items, "numbers", Console(file=io.StringIO()), jobs=2, chunk=2)
     assert found == [9, 1, 4, 0]
+
+
+def test_a_name_is_given_once():
+    with pytest.raises(typer.BadParameter, match="must be different names, got 'a,b,a'"):
+        chosen_names("a,b,a", ("a", "b"), "--tasks")
+
+
+def test_numbers_are_read_with_commas_between():
+    assert whole_numbers("1, 16,2", "--sizes") == [1, 16, 2]
+    for text in ("", "0", "-1", "1,x", "1.5", "9" * 5000):
+        with pytest.raises(typer.BadParameter, match="must be whole numbers from 1 to") as refusal:
+            whole_numbers(text, "--sizes")
+        assert refusal.value.param_hint == "--sizes"
+
+
+def _ended(function, *line):
+    app = CommandLine(add_completion=False)
+    assert app.command()(function) is function
+    with pytest.raises(SystemExit) as end:
+        app(list(line), prog_name="measure")
+    return end.value.code
+
+
+def _measure(
+    places: Annotated[list[Path], typer.Argument(metavar="PLACE...")],
+    scale: float = 1.0,
+    count_: Annotated[int, typer.Option("--count")] = 1,
+    deviation: Annotated[list[float] | None, typer.Option()] = None,
+) -> None:
+    typer.echo(f"measured {scale} {count_}")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (("a", "--scale", "nan"), ("--scale", "finite", "nan")),
+        (("a", "--deviation", "1", "--deviation", "-inf"), ("--deviation", "finite", "-inf")),
+        (("a", "--count", str(LARGEST + 1)), ("--count", str(LARGEST), str(LARGEST + 1))),
+        (("a", f"{__file__}/b"), ("PLACE", "no folder")),
+        (("x" * 300,), ("PLACE", "too long")),
+    ],
+)
+def test_numbers_and_paths_are_checked_before_a_command(line, words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "500")
+    assert _ended(_measure, *line) == 2
+    printed = capsys.readouterr()
+    assert "measured" not in printed.out
+    for word in words:
+        assert word in printed.err
+
+
+def test_what_is_allowed_reaches_the_command(capsys):
+    assert _ended(_measure, "none/deep", "--scale", "2.5", "--count", str(LARGEST)) == 0
+    assert capsys.readouterr().out == f"measured 2.5 {LARGEST}\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (ValueError("width must be positive,\n  got -1"), "width must be positive,; got -1"),
+        (FileNotFoundError(2, "No such file", "a[/b]"), "No such file: 'a[/b]'"),
+        (ModuleNotFoundError("this needs that"), "this needs that"),
+        (MemoryError(), "not enough memory for what is asked"),
+        (EOFError("no data"), ""),
+    ],
+)
+def test_an_error_that_refuses_is_one_line(error, line, capsys):
+    def fail() -> None:
+        raise error
+
+    assert _ended(fail) == (2 if line else 1)
+    printed = capsys.readouterr().err
+    assert "Traceback" not in printed
+    if line:
+        assert printed == f"error: {line}\n"
+
+
+def test_a_bug_is_no_refusal():
+    def fail() -> None:
+        raise KeyError("a")
+
+    app = CommandLine(add_completion=False)
+    app.command()(fail)
+    with pytest.raises(KeyError):
+        app([])
+
+
+def test_names_of_files_are_told_as_they_are(capsys):
+    tell("wrote [/red] [bold]")
+    assert capsys.readouterr().out == "wrote [/red] [bold]\n"
