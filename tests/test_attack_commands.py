@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "scripts"
-COUNT = 60
+COUNT = 50
 
 ATTACK = f"""
 import json, runpy, sys, warnings
