@@ -63,9 +63,7 @@ Noise = Annotated[
 
 Lists = Annotated[
     Path | None,
-    typer.Option(
-        help="Folder of frozen lists. Default: that of the package.", exists=True, file_okay=False
-    ),
+    typer.Option(help="Folder of frozen lists. Default: that of the package.", file_okay=False),
 ]
 """Option for where the frozen lists are."""
 

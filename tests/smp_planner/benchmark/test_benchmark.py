@@ -369,6 +369,24 @@ def test_bad_options_are_answered_with_what_exists(
         ("run", "--methods", "promp", "--episodes", "1", "--out", "{}/file"),
         ("run", "--methods", "promp", "--episodes", "1", "--out", "{}/file/below"),
         ("draw", "--out", "{}/file/below"),
+    ],
+)
+def test_a_path_that_cannot_be_a_folder_is_refused_before_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit) as ended:
+        app([argument.format(tmp_path) for argument in arguments])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "Invalid value for" in said
+    assert "--out" in said
+    assert (tmp_path / "file").read_bytes() == b""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
         ("show", "{}/damaged"),
         ("show", "{}/torn"),
         ("export", "{}/torn"),

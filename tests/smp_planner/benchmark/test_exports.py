@@ -59,7 +59,7 @@ def test_rows_go_to_a_csv(results: Path, tmp_path: Path) -> None:
         (["--methods", "promp_diff"], "must be of promp, smp; got 'promp_diff'"),
         (["--cells", "DrawS_easy"], "must be of Placement_medium; got 'DrawS_easy'"),
         (["--seeds", "3,99"], "no row has the seed '99'"),
-        (["--out", "/dev/null/file.csv"], "Not a directory"),
+        (["--out", "/dev/null/file.csv"], "lies under '/dev/null', which is no folder"),
     ],
 )
 def test_what_is_not_there_cannot_be_exported(

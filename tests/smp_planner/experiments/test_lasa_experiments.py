@@ -199,6 +199,6 @@ def test_command_line_names_what_is_wrong(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["lasa.py", "compare", *arguments])
     with pytest.raises(SystemExit) as stopped:
-        script.main()
+        script.app()
     assert stopped.value.code == 2
     assert re.search(message, re.sub(r"[\s│]+", " ", capsys.readouterr().err))
