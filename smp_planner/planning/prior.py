@@ -41,7 +41,7 @@ class Prior:
     single: ProMP
     mixture: ProMPMixture
     settings: PriorSettings
-    _wider: dict[float, list[ProMP]] = field(default_factory=dict, repr=False)
+    _wider: dict[float, list[ProMP]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def digest(self) -> str:
