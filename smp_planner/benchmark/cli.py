@@ -212,13 +212,16 @@ def run(
     from smp_planner.benchmark.worker_pool import BACKENDS, available_cores
 
     single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
+    listed = frozen or (bool(suite) and seed is None)
+    if lists is not None and not listed:
+        raise fail("--lists needs --frozen, or --suite without --seed, got it without", 2)
     chosen = chosen_cells(suite, split_names(tasks), split_names(cells), single)
     manifest = requested_manifest(
         chosen,
         split_names(methods),
         seed or 0,
         episodes,
-        frozen=frozen or (bool(suite) and seed is None),
+        frozen=listed,
         suite=suite,
         lists=lists,
         **replanning(replan_every, latency),

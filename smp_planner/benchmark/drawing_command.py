@@ -118,6 +118,8 @@ def one_episode(
     (cell,) = chosen_cells("", (task,), (), single)
     if half:
         _check_listed(cell, half, seed, lists)
+    elif lists is not None:
+        raise fail("--lists needs --half, got it without", 2)
     manifest = requested_manifest((cell,), (method,), seed, 1, lists=lists, **replanned)
     return manifest, EpisodeKey.of(cell, manifest.methods[0], seed, half)
 

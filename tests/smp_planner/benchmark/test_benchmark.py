@@ -347,6 +347,8 @@ def test_list_names_what_exists() -> None:
         (["--suite", "standard", "--cells", "DrawS_huge"], "there are: Placement_easy"),
         (["--suite", "standard", "--difficulty", "easy"], "--difficulty is of single cells"),
         (["--suite", "standard", "--lists", "nowhere"], "no frozen list of Placement_easy"),
+        (["--lists", "nowhere"], "--lists needs --frozen"),
+        (["--suite", "standard", "--seed", "0", "--lists", "nowhere"], "--lists needs --frozen"),
         (["--cells", "DrawS_easy"], "--cells needs --suite"),
         (["--episodes", "0"], "--episodes"),
         (["--frozen", "--seed", "7"], "seed must be 0, got 7"),

@@ -359,6 +359,12 @@ def test_draw_names_an_episode_that_no_list_holds(tmp_path: Path) -> None:
     assert "no frozen list of Placement_medium" in result.output
 
 
+def test_lists_are_not_named_in_vain(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["draw", "--lists", str(tmp_path), "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "--lists needs --half, got it without" in result.output
+
+
 def test_a_bar_stands_where_the_rate_is() -> None:
     svg = str(interval_bar(rate_interval(3, 4), 0))
     (x,) = re.findall(r'<circle cx="([\d.]+)"', svg)
