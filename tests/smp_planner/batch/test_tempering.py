@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from plane_prior import plane_prior
 
 from smp_planner.adaptation import Runs
 from smp_planner.adaptation.stein import SteinSettings
@@ -10,7 +11,6 @@ from smp_planner.batch.descent import carry_out
 from smp_planner.batch.planning import run_of
 from smp_planner.batch.tempering import effective_sizes, resampled_rows, temperature_rises
 from smp_planner.inference.resampling import effective_size, resampled, temperature_rise
-from smp_planner.movement_primitives import GaussianBasis, ProMP, smooth_covariance
 from smp_planner.planners import make_planner
 
 STEPS, PARTICLES = 30, 200
@@ -75,14 +75,7 @@ class Observed:
 
 @pytest.fixture(scope="module")
 def prior():
-    basis = GaussianBasis(9)
-    primitive = ProMP.from_covariance(
-        basis,
-        torch.zeros(18, dtype=torch.float64),
-        smooth_covariance(basis, 2, 0.3, 0.25),
-        torch.ones(2, dtype=torch.float64),
-    )
-    return primitive.condition(0.0, torch.zeros(2, dtype=torch.float64))
+    return plane_prior()
 
 
 def adapted(prior, seed, draws=4 * PARTICLES):
