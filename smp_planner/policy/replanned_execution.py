@@ -428,25 +428,49 @@ def _take_effect(
 ) -> Pursuit:
     """Return the state after the plan that was asked for has taken effect.
 
-    Without a good particle the arm stays on its trajectory, at a speed that is safe; if none is, it
-    takes the particle that is expected to keep farthest from what moves, if that is farther.
+    Of the good particles it is the best that is safe by what is known now; what moves may have turned
+    since the plan was asked for. Without a good particle the arm stays on its trajectory, at a speed
+    that is safe. If nothing is safe, it takes the particle that keeps farthest from what moves, if
+    that is farther than the present trajectory does.
     """
     pending = pursuit.pending
     assert pending is not None
     pursuit = replace(pursuit, pending=None)
     plan = pending.plan
     if plan.good.any():
-        return _on(pursuit, pending, plan.chosen)
-    able = plan.executable & (True if plan.standing_free is None else plan.standing_free)
-    kept = pursuit
-    if (able & plan.passing).mean() >= 0.5:
-        kept = replace(pursuit, plan=plan)
-    if plan.apart is None or not able.any():
-        return kept
-    evading = _on(pursuit, pending, int(np.where(able, plan.apart, -np.inf).argmax()))
-    clearance = _outlook(pursuit, now, turns, settings, FACTORS)[1]
-    gained = _outlook(evading, now, turns, settings, FACTORS)[1] - clearance
-    return evading if clearance < SAFE_DISTANCE and gained > _GAIN else kept
+        best = _on(pursuit, pending, plan.chosen)
+        if _outlook(best, now, turns, settings, FACTORS[:1])[1] >= SAFE_DISTANCE:
+            return best
+        candidates = [int(p) for p in np.argsort(plan.ranks) if plan.good[p]]
+    else:
+        able = plan.executable & (True if plan.standing_free is None else plan.standing_free)
+        if (able & plan.passing).mean() >= 0.5:
+            pursuit = replace(pursuit, plan=plan)
+        if plan.apart is None or not able.any():
+            return pursuit
+        candidates = [int(particle) for particle in np.flatnonzero(able)]
+        best = None
+    courses = [_on(pursuit, pending, particle) for particle in candidates]
+    clearance = _clearances(courses, now, turns, settings)
+    safe = np.flatnonzero(clearance >= SAFE_DISTANCE)
+    if best is not None and len(safe):
+        return courses[int(safe[0])]
+    evading = courses[int(clearance.argmax())]
+    kept = _outlook(pursuit, now, turns, settings, FACTORS)[1]
+    gained = _outlook(evading, now, turns, settings, FACTORS)[1] - kept
+    if kept < SAFE_DISTANCE and gained > _GAIN:
+        return evading
+    return pursuit if best is None else best
+
+
+def _clearances(
+    pursuits: Sequence[Pursuit],
+    now: Sequence[Obstacle],
+    turns: Mapping[Obstacle, tuple[float, ...]],
+    settings: PlanSettings,
+) -> FloatArray:
+    """Return the clearances (N,) m of states that go on at the highest speed."""
+    return np.array([_outlook(p, now, turns, settings, FACTORS[:1])[1] for p in pursuits])
 
 
 def _on(pursuit: Pursuit, pending: _Pending, particle: int) -> Pursuit:
@@ -493,6 +517,9 @@ def pursue(
     turns = _turns(seen)
     if pursuit.pending is not None and step >= pursuit.pending.due:
         pursuit = _take_effect(pursuit, now, turns, settings)
+        # What was said of the trajectory of before must not make the arm retreat from a safe one.
+        factor, clearance = _outlook(pursuit, now, turns, settings, FACTORS)
+        pursuit = replace(pursuit, factor=factor, clearance=clearance)
     opened = _opened(pursuit, step, event)
     lagging = float(np.abs(decoded.robot.configuration - decoded.robot.reference).max()) > LAG
     idle = opened or pursuit.closing > 0 or pursuit.phase >= 1.0
