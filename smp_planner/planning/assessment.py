@@ -16,7 +16,7 @@ from smp_gym.scene import Obstacle
 from smp_planner.collision.moving import clearance_in_time
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planning.constraints import Reaching
-from smp_planner.planning.forecasting import parted, robot_of, runs_in_time
+from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
@@ -85,42 +85,43 @@ def _limits(problem: Problem, trajectories: FloatArray, settings: PlanSettings) 
     return _Limits(executable, duration, *constraints_met(problem, trajectories, settings))
 
 
-class _Collisions(NamedTuple):
-    """What collisions P trajectories have; see `Verdict` for the fields."""
-
-    free: BoolArray
-    clearance: FloatArray
-    standing_free: BoolArray
-    apart: FloatArray | None
-
-
-def _collisions(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> _Collisions:
+def _standing(
+    problem: Problem, trajectories: FloatArray, settings: PlanSettings
+) -> tuple[BoolArray, FloatArray]:
+    """Return whether P trajectories are free of themselves and of what stands, and how clear."""
     count = len(trajectories)
     free, clearance = np.ones(count, np.bool_), np.full(count, np.inf)
-    body, whole = problem.body, False
-    samples, clock = trajectories.shape[1], problem.clock
-    apart: FloatArray | None = None
+    body, whole, samples = problem.body, False, trajectories.shape[1]
     for stage in problem.stages:
         steps = problem.ahead(stage, samples)
         if steps.start == steps.stop:
             continue
-        part = trajectories[:, steps]
-        standing, forecast = parted(problem, stage, settings)
-        found = stage.body.check(part, standing, stage.cloud)
+        standing, _ = parted(problem, stage, settings)
+        found = stage.body.check(trajectories[:, steps], standing, stage.cloud)
         free, clearance = free & found.free, np.minimum(clearance, found.clearance)
-        if forecast is not None:
-            robot = robot_of(stage)
-            times = clock.times(trajectories, robot.velocity)[:, steps]
-            met = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
-            apart = met if apart is None else np.minimum(apart, met)
         whole |= stage.body is body and (stage.first, stage.last) == (0.0, 1.0)
     if not whole:
         # With all that it carries in the end, the body must stay clear of itself, too.
         free = free & body.check(trajectories[:, problem.rest(samples)], ()).free
-    if apart is None:
-        return _Collisions(free, clearance, free, None)
-    met_none = free & (apart >= CLEARANCE_TOLERANCE)
-    return _Collisions(met_none, np.minimum(clearance, apart), free, apart)
+    return free, clearance
+
+
+def _apart(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> FloatArray | None:
+    """Return the clearances (P,) m of P trajectories to what moves; None where nothing does."""
+    apart: FloatArray | None = None
+    samples = trajectories.shape[1]
+    for stage in problem.stages:
+        steps = problem.ahead(stage, samples)
+        _, forecast = parted(problem, stage, settings)
+        if steps.start == steps.stop or forecast is None:
+            continue
+        robot = robot_of(stage)
+        times = problem.clock.times(trajectories, robot.velocity)[:, steps]
+        met = clearance_in_time(
+            trajectories[:, steps], times, robot, forecast, until=problem.foresight
+        )
+        apart = met if apart is None else np.minimum(apart, met)
+    return apart
 
 
 def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> Verdict:
@@ -131,17 +132,27 @@ def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
         trajectories: (P, T, D).
         settings: limit of the duration, and what may be missed.
     """
-    free, clearance, standing_free, apart = _collisions(problem, trajectories, settings)
+    standing_free, clearance = _standing(problem, trajectories, settings)
+    apart = _apart(problem, trajectories, settings)
+    free = standing_free
+    if apart is not None:
+        free, clearance = free & _clear(apart), np.minimum(clearance, apart)
     limits = _limits(problem, trajectories, settings)
     return Verdict(free, clearance, *limits, standing_free, apart)
+
+
+def _clear(apart: FloatArray) -> BoolArray:
+    """Return whether clearances (P,) m to what moves are certain to be none below 0."""
+    return np.asarray(apart >= CLEARANCE_TOLERANCE)
 
 
 class _BestFirst:
     """Checks of collisions in the order of preference, until the best particle is certain.
 
-    A particle that is not checked yet is at best free with a safe clearance, which gives a bound on
-    its place in `rank`. Particles are checked by that bound, the highest first, until one that is
-    checked is above the bounds of all others: it is the first of `rank`.
+    What moves is looked at first, for all particles. One that is not checked yet against what
+    stands is at best free of it with a safe clearance, which gives a bound on its place in `rank`.
+    Particles are checked by that bound, the highest first, until one that is checked is above the
+    bounds of all others: it is the first of `rank`.
 
     Args:
         problem: to be solved.
@@ -150,13 +161,14 @@ class _BestFirst:
         settings: see `assess`.
         limits: what else there is to tell.
         until: time of `time.perf_counter` from which on nothing more is checked, but for the first.
-        known: whether particles are free and how clear, if they are checked already.
+        verdict: of the check, if it is made already.
         bonus: as of `rank`.
 
     Attributes:
         chosen: see `Checks`.
         solved: see there.
         ended_early: whether the time was over before the best one was certain.
+        apart: see `Plan`.
     """
 
     def __init__(
@@ -167,17 +179,23 @@ class _BestFirst:
         settings: PlanSettings,
         limits: _Limits,
         until: float = math.inf,
-        known: tuple[BoolArray, FloatArray] | None = None,
+        verdict: Verdict | None = None,
         bonus: FloatArray | float = 0.0,
     ) -> None:
         self._problem, self._trajectories, self._costs = problem, trajectories, costs
         self._settings, self._limits, self._bonus = settings, limits, bonus
         count = len(trajectories)
-        self._checked = np.full(count, known is not None)
-        self._free, self._clearance = np.zeros(count, np.bool_), np.full(count, np.nan)
-        if known is not None:
-            self._free, self._clearance = known
-        bounds = self._keys(np.ones(count, np.bool_), np.full(count, np.inf))
+        self._checked = np.full(count, verdict is not None)
+        self._standing, self._clearance = np.zeros(count, np.bool_), np.full(count, np.nan)
+        if verdict is None:
+            self.apart = _apart(problem, trajectories, settings)
+        else:
+            standing = verdict.standing_free
+            self._standing = verdict.free if standing is None else standing
+            self._clearance, self.apart = verdict.clearance, verdict.apart
+        self._unmet = np.ones(count, np.bool_) if self.apart is None else _clear(self.apart)
+        self._nearest = np.full(count, np.inf) if self.apart is None else self.apart
+        bounds = self._keys(self._unmet, self._nearest)
         order = sorted(range(count), key=bounds.__getitem__, reverse=True)
         best = None
         self.ended_early = False
@@ -215,9 +233,16 @@ class _BestFirst:
         )
 
     def _check(self, indices: IntArray) -> None:
-        found = _collisions(self._problem, self._trajectories[indices], self._settings)
-        self._free[indices], self._clearance[indices] = found.free, found.clearance
+        self._standing[indices], clearance = _standing(
+            self._problem, self._trajectories[indices], self._settings
+        )
+        self._clearance[indices] = np.minimum(clearance, self._nearest[indices])
         self._checked[indices] = True
+
+    @property
+    def _free(self) -> BoolArray:
+        """(P,) whether particles that have been checked are free of what stands and moves."""
+        return self._standing & self._unmet
 
     @property
     def count(self) -> int:
@@ -235,6 +260,7 @@ class _BestFirst:
         ranks[self.chosen] = 0
         return {
             "collision_free": self._free,
+            "standing_free": self._standing,
             "clearance": self._clearance,
             "ranks": ranks,
             "signatures": signatures(self._problem, self._trajectories),
@@ -283,20 +309,14 @@ def make_plan(
         bonus: from homotopy classes and durations of particles to what is added to their merit
             (P,), in units of the log-prior.
     """
-    if verdict is None and (bonus is not None or runs_in_time(problem, settings)):
-        verdict = assess(problem, trajectories, settings)
     if verdict is None:
         limits = _limits(problem, trajectories, settings)
-        checks = _BestFirst(problem, trajectories, costs, settings, limits, until)
     else:
         limits = _Limits(verdict.executable, verdict.duration, verdict.missed, verdict.passing)
-        known = verdict.free, verdict.clearance
-        added: FloatArray | float = 0.0
-        if bonus is not None:
-            added = bonus(signatures(problem, trajectories), verdict.duration)
-        checks = _BestFirst(
-            problem, trajectories, costs, settings, limits, known=known, bonus=added
-        )
+    added: FloatArray | float = 0.0
+    if bonus is not None:
+        added = bonus(signatures(problem, trajectories), limits.duration)
+    checks = _BestFirst(problem, trajectories, costs, settings, limits, until, verdict, bonus=added)
     plan = Plan.pending(
         checks,
         trajectories=trajectories,
@@ -307,8 +327,7 @@ def make_plan(
         executable=limits.executable,
         weights=weights,
         components=components,
-        standing_free=None if verdict is None else verdict.standing_free,
-        apart=None if verdict is None else verdict.apart,
+        apart=checks.apart,
     )
     if checks.ended_early and not checks.solved:
         return plan.changed(

@@ -15,7 +15,7 @@ from smp_planner.planning.modes import Modes, best_of_each, group
 
 __all__ = ["Checks", "Plan"]
 
-_OPEN = ("collision_free", "clearance", "ranks", "signatures")
+_OPEN = ("collision_free", "standing_free", "clearance", "ranks", "signatures")
 """Fields of a `Plan` that may be left open until they are asked for."""
 
 
@@ -45,8 +45,9 @@ class Plan:
     the demonstrations.
 
     A planner checks the candidates in the order of preference until the best one is certain. The
-    rest is checked when it is first asked for: `collision_free`, `clearance`, `ranks`, `signatures`
-    and what follows from them. That takes longer than to read a number, and counts in no timing.
+    rest is checked when it is first asked for: `collision_free`, `standing_free`, `clearance`,
+    `ranks`, `signatures` and what follows from them. That takes longer than to read a number, and
+    counts in no timing.
 
     Attributes:
         trajectories: (P, T, D), at equal steps of phase.

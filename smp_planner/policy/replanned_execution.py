@@ -405,7 +405,7 @@ def _ask(
                 observed=step,
                 stuck=0,
             )
-    failed = not plan.good.any()
+    failed = not plan.solved
     return replace(
         pursuit,
         asked=step,
@@ -428,16 +428,16 @@ def _take_effect(
 ) -> Pursuit:
     """Return the state after the plan that was asked for has taken effect.
 
-    Of the good particles it is the best that is safe by what is known now; what moves may have turned
-    since the plan was asked for. Without a good particle the arm stays on its trajectory, at a speed
-    that is safe. If nothing is safe, it takes the particle that keeps farthest from what moves, if
-    that is farther than the present trajectory does.
+    Of the good particles it is the best that is safe by what is known now; what moves may have
+    turned since the plan was asked for. Without a good particle the arm stays on its trajectory, at
+    a speed that is safe. If nothing is safe, it takes the particle that keeps farthest from what
+    moves, if that is farther than the present trajectory does.
     """
     pending = pursuit.pending
     assert pending is not None
     pursuit = replace(pursuit, pending=None)
     plan = pending.plan
-    if plan.good.any():
+    if plan.solved:
         best = _on(pursuit, pending, plan.chosen)
         if _outlook(best, now, turns, settings, FACTORS[:1])[1] >= SAFE_DISTANCE:
             return best

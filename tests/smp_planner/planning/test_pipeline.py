@@ -1,6 +1,7 @@
 """Plans on threads, the best particle before the rest, and deadlines."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,21 +58,48 @@ def noisy_candidates(problem, planner, seed):
     return straight + bends, {"prior": rng.uniform(0.0, 60.0, 20)}
 
 
+def drifting(problem):
+    """Return a problem whose ball moves along y, at 0.1 m/s."""
+    (ball,) = problem.movable
+    moving = ball.model_copy(update={"velocity": (0.0, 0.1, 0.0)})
+    return replace(
+        problem,
+        stages=tuple(
+            replace(s, obstacles=tuple(moving if o == ball else o for o in s.obstacles))
+            for s in problem.stages
+        ),
+        movable=(moving,),
+    )
+
+
+def preferred(classes, duration):
+    """Return a bonus that depends on the homotopy class and the duration."""
+    return 5.0 * classes[:, -1] - duration
+
+
+@pytest.mark.parametrize("bonus", [None, preferred])
+@pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, monkeypatch):
+def test_the_best_is_found_without_checking_the_rest(
+    planner, problem, seed, moves, bonus, monkeypatch
+):
     trajectories, costs = noisy_candidates(problem, planner, seed)
+    problem = drifting(problem) if moves else problem
     settings = PlanSettings(duration_limit=30.0)
     checked = []
-    collisions = assessment._collisions
+    standing = assessment._standing
 
     def counting(problem, trajectories, settings):
         checked.append(len(trajectories))
-        return collisions(problem, trajectories, settings)
+        return standing(problem, trajectories, settings)
 
-    monkeypatch.setattr(assessment, "_collisions", counting)
-    plan = make_plan(problem, trajectories, costs, settings)
+    monkeypatch.setattr(assessment, "_standing", counting)
+    plan = make_plan(problem, trajectories, costs, settings, bonus=bonus)
     chosen, solved, asked = plan.chosen, plan.solved, sum(checked)
     verdict = assess(problem, trajectories, settings)
+    added = 0.0
+    if bonus is not None:
+        added = bonus(assessment.signatures(problem, trajectories), verdict.duration)
     expected = rank(
         Merits(
             verdict.free,
@@ -80,6 +108,7 @@ def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, mon
             verdict.clearance,
             verdict.missed,
             costs,
+            added,
         )
     )
     assert chosen == expected.argmin()
@@ -87,8 +116,12 @@ def test_the_best_is_found_without_checking_the_rest(planner, problem, seed, mon
     assert solved or asked == len(trajectories)
     np.testing.assert_array_equal(plan.ranks, expected)
     np.testing.assert_array_equal(plan.collision_free, verdict.free)
+    np.testing.assert_array_equal(plan.standing_free, verdict.standing_free)
     np.testing.assert_array_equal(plan.clearance, verdict.clearance)
     np.testing.assert_array_equal(plan.good, verdict.good)
+    assert (plan.apart is not None) == moves
+    if moves:
+        np.testing.assert_array_equal(plan.apart, verdict.apart)
     assert plan.chosen == chosen
 
 

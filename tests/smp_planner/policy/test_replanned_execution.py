@@ -1,5 +1,7 @@
 """Execution with replanning, in the physics: latency, continuity, limits, determinism."""
 
+from itertools import pairwise
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
 from smp_planner.planning.clock import RAMP
 from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.policy.replanned_execution import SAFE_DISTANCE
 
 FEW = {"particles": 14}
 EVERY, LATENCY = 7, 3
@@ -97,6 +100,27 @@ def test_the_present_trajectory_is_followed_until_the_new_one_begins(played):
 def test_the_same_episode_is_played_the_same(policy, env, played):
     _, actions, _, _ = play(policy, env, 73_001, steps=40)
     np.testing.assert_array_equal(actions, played[1][:40])
+
+
+def test_a_safe_trajectory_that_takes_effect_is_gone_along_at_once():
+    """What was said of the trajectory of before, here that it must be left backwards, is over."""
+    replanned = PlannerPolicy.make("smp", "DoubleSidedPlacement", replan_every=10)
+    world = gym.make("smp_gym/DoubleSidedPlacement-v0", difficulty="medium", family="moving")
+    _, _, states, _ = play(replanned, world, 79_705, steps=60)
+    world.close()
+    retreats = [
+        (before, now)
+        for before, now in pairwise(states)
+        if before.pending is not None
+        and now.plan is before.pending.plan
+        and now.plan.solved
+        and before.factor < 0.0
+        and now.clearance >= SAFE_DISTANCE
+    ]
+    assert retreats
+    for _, now in retreats:
+        assert now.factor > 0.0
+        assert now.pending is None or not now.pending.backwards
 
 
 def test_noise_asks_for_no_plan_and_plans_are_made_of_the_mean_of_all_looks():
