@@ -27,6 +27,7 @@ of another scene. The folder that a training writes holds
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -92,7 +93,8 @@ class BumpSettings(BaseModel):
         rollouts: actions in each.
         epochs: steps of the gradient for each batch.
         clip: ε of the clipped gradient.
-        learning_rate: of Adam.
+        learning_rate: of Adam, in the beginning.
+        annealing: iterations in which it falls to a tenth, along half a cosine; 0 if it stays.
         std: rad, standard deviation of actions in the beginning.
         shift: m, standard deviation of the shift of obstacles from visit to visit.
         exchanged: share of the visits with the obstacles of another scene.
@@ -107,9 +109,17 @@ class BumpSettings(BaseModel):
     epochs: int = Field(default=6, ge=1)
     clip: float = Field(default=0.2, gt=0.0, lt=1.0)
     learning_rate: float = Field(default=3e-3, gt=0.0, allow_inf_nan=False)
+    annealing: int = Field(default=0, ge=0)
     std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     shift: float = Field(default=0.015, ge=0.0, allow_inf_nan=False)
     exchanged: float = Field(default=0.3, ge=0.0, le=1.0)
+
+    def rate(self, iteration: int) -> float:
+        """Return the learning rate of an iteration."""
+        if not self.annealing:
+            return self.learning_rate
+        share = min(iteration / self.annealing, 1.0)
+        return self.learning_rate * (0.1 + 0.45 * (1.0 + math.cos(math.pi * share)))
 
     @classmethod
     def from_json(cls, path: Path, agent: str, task: str) -> BumpSettings:
@@ -401,6 +411,8 @@ class BumpTraining:
     def _iterate(self) -> FloatArray:
         """Learn from one batch; return its mean reward, shares of clear trajectories and scenes."""
         settings, policy = self._settings, self.policy
+        for group in self._optimiser.param_groups:
+            group["lr"] = settings.rate(self.iteration)
         rng = np.random.default_rng([self._seed, 1, self.iteration])
         generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         visits = [self._visit(rng) for _ in range(settings.batch)]

@@ -25,7 +25,7 @@ from smp_planner.planners.bump_planner import LEARNED, BumpPlanner
 from smp_planner.planners.bump_policy import ActionDistribution, BumpPolicy, Looks, NetworkShape
 from smp_planner.planners.card_file import shipped_agent
 
-TINY = BumpSettings(scenes=3, batch=3, rollouts=4, epochs=2, bumps=2)
+TINY = BumpSettings(scenes=3, batch=3, rollouts=4, epochs=2, bumps=2, annealing=3)
 
 
 def distribution(choice, mean, log_std):
@@ -66,6 +66,16 @@ def test_log_densities_are_those_of_torch_s_distributions():
         found.log_prob(component, action)[0] - constant,
         normal.log_prob(action[0]).sum(-1) + chosen,
     )
+
+
+def test_the_learning_rate_falls_to_a_tenth_and_stays():
+    settings = BumpSettings(learning_rate=0.02, annealing=10)
+    rates = [settings.rate(iteration) for iteration in range(13)]
+    assert rates[0] == pytest.approx(0.02)
+    assert rates[5] == pytest.approx(0.011)
+    assert rates[10:] == pytest.approx([0.002] * 3)
+    assert (np.diff(rates[:11]) < 0.0).all()
+    assert BumpSettings(learning_rate=0.02).rate(500) == 0.02
 
 
 def test_it_finds_the_optimum_of_a_bandit():
