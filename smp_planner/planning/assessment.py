@@ -41,6 +41,14 @@ _SIGNATURE_SAMPLES = 50
 cost more time, and class otherwise only what passes close to an edge or through an obstacle."""
 
 
+HOLD = 1.5
+"""s, for which the arm stays where a trajectory ends: the hand opens, what it held comes to rest.
+Till then nothing that moves may meet it."""
+
+_HOLD_SAMPLES = 6
+"""Samples of that."""
+
+
 class Verdict(NamedTuple):
     """Results of the exact check of P trajectories; see `Plan` for the fields.
 
@@ -117,11 +125,23 @@ def _apart(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -
             continue
         robot = robot_of(stage)
         times = problem.clock.times(trajectories, robot.velocity)[:, steps]
-        met = clearance_in_time(
-            trajectories[:, steps], times, robot, forecast, until=problem.foresight
-        )
+        part = trajectories[:, steps]
+        if stage.last == 1.0:
+            part, times = _held(part, times, problem.foresight)
+        met = clearance_in_time(part, times, robot, forecast, until=problem.foresight)
         apart = met if apart is None else np.minimum(apart, met)
     return apart
+
+
+def _held(
+    trajectories: FloatArray, times: FloatArray, foresight: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return trajectories (P, T, n) that stay where they end, and the times (P, T) of all that."""
+    shares = np.linspace(0.0, 1.0, _HOLD_SAMPLES + 1)[1:]
+    long = np.clip(foresight - times[:, -1:], 0.0, HOLD)
+    stay = np.repeat(trajectories[:, -1:], _HOLD_SAMPLES, axis=1)
+    held = np.concatenate([trajectories, stay], axis=1)
+    return held, np.concatenate([times, times[:, -1:] + long * shares], axis=1)
 
 
 def assess(problem: Problem, trajectories: FloatArray, settings: PlanSettings) -> Verdict:

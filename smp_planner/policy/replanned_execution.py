@@ -44,7 +44,7 @@ LATENCY = 2
 FACTORS = (1.0, 0.5, 0.0, -1.0)
 """Speeds along the trajectory that are tried in turn, as shares of the highest."""
 
-LOOKAHEAD = 30
+LOOKAHEAD = 40
 """Control steps for which nothing that moves must be expected to be met."""
 
 SAFE_DISTANCE = 0.005
