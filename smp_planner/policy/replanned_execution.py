@@ -45,7 +45,8 @@ FACTORS = (1.0, 0.5, 0.0, -1.0)
 """Speeds along the trajectory that are tried in turn, as shares of the highest."""
 
 LOOKAHEAD = 40
-"""Control steps for which nothing that moves must be expected to be met."""
+"""Control steps for which nothing that moves must be expected to be met: as far as forecasts reach.
+"""
 
 SAFE_DISTANCE = 0.005
 """m, beyond the margins of what moves, that count as safe."""

@@ -72,6 +72,31 @@ def drifting(problem):
     )
 
 
+def test_nothing_that_moves_may_meet_the_arm_where_it_stays_at_the_end(planner, problem):
+    """A ball that comes to the hand after the end counts, and only as far as one looks ahead."""
+    trajectory = planner.prior.single.trajectory(planner.prior.single.mean, 60).numpy()[None]
+    settings = PlanSettings(duration_limit=30.0, forecast_horizon=60.0, forecast_growth=0.0)
+    arrival = float(problem.clock.times(trajectory, problem.robot.velocity)[0, -1])
+    hand = problem.body.paths(trajectory, None)[0, -1]
+    (ball,) = problem.movable
+
+    def apart(late, **changed):
+        """Return the clearance if the ball is in the hand so many seconds after the end."""
+        speed, radius = 0.5, ball.size[0]
+        start = hand + (0.0, 0.0, radius + speed * (arrival + late))
+        coming = ball.model_copy(
+            update={"position": tuple(start.tolist()), "velocity": (0.0, 0.0, -speed)}
+        )
+        stages = tuple(replace(s, obstacles=(TABLE, coming)) for s in problem.stages)
+        met = replace(problem, stages=stages, movable=(coming,), **changed)
+        return float(assess(met, trajectory, settings).apart[0])
+
+    assert apart(0.3) < 0.0
+    assert apart(0.9 * assessment.HOLD) < 0.0
+    assert apart(0.9 * assessment.HOLD, foresight=arrival) > 0.2
+    assert apart(3.0 * assessment.HOLD) > 0.2
+
+
 def preferred(classes, duration):
     """Return a bonus that depends on the homotopy class and the duration."""
     return 5.0 * classes[:, -1] - duration
