@@ -11,9 +11,9 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray, checked_array, checked_number
+from smp_gym.geometry.pose import checked_pose
 from smp_gym.scene import Obstacle
 from smp_planner.library.covering import (
     MOST_SPHERES,
@@ -65,10 +65,7 @@ def mesh_obstacles(
         >>> spheres = mesh_obstacles(shelf, cell=0.05, position=(0.5, 0.0, 0.3))
     """
     cell = checked_number("cell", cell, above=0.0)
-    offset = checked_array("position", position, (3,))
-    turn = checked_array("quaternion", quaternion, (4,))
-    if abs(float(np.linalg.norm(turn)) - 1.0) > 1e-6:
-        raise ValueError(f"quaternion must have norm 1, got {turn.tolist()}")
+    pose = checked_pose(position, quaternion)
     factors = np.full(3, scale) if np.ndim(scale) == 0 else scale
     factors = checked_array("scale", factors, (3,))
     if not (factors > 0.0).all():
@@ -89,7 +86,7 @@ def mesh_obstacles(
     if solid.is_watertight:
         spheres = np.concatenate([spheres, _filling(solid, cell)])
     _refuse_beyond(len(spheres), solid, cell, where, advice)
-    centers = spheres[:, :3] @ Rotation.from_quat(turn).as_matrix().T + offset
+    centers = pose.of(spheres[:, :3])
     return [
         Obstacle(shape="sphere", position=(x, y, z), size=(radius, radius, radius))
         for (x, y, z), radius in zip(centers.tolist(), spheres[:, 3].tolist(), strict=True)
