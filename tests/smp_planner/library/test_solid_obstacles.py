@@ -132,11 +132,14 @@ def maps():
     pits[2:4, 2:6] = pits[6, 1] = 0.0
     tower = np.zeros((5, 7))
     tower[2, 3] = 0.5
+    bumps = np.zeros((9, 9))
+    bumps[::4, ::4] = 0.03
     return {
         "stairs": (stairs, -0.1),
         "noise": (noise, -0.2),
         "pits": (pits, 0.0),
         "tower": (tower, 0.0),
+        "bumps": (bumps, 0.0),
         "cell": (np.full((1, 1), 0.1), 0.0),
     }
 
