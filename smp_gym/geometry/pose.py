@@ -13,6 +13,10 @@ from smp_gym.arrays import FloatArray, checked_array
 __all__ = ["Pose", "checked_pose"]
 
 
+_NORM_TOLERANCE = 1e-6
+"""Largest deviation of a quaternion's norm from 1."""
+
+
 @dataclass(frozen=True)
 class Pose:
     """A rigid transform: a turn, then a shift.
@@ -46,22 +50,19 @@ class Pose:
         return x, y, z, w
 
 
-def checked_pose(
-    position: ArrayLike, quaternion: ArrayLike, *, where: str = "", tolerance: float = 1e-6
-) -> Pose:
+def checked_pose(position: ArrayLike, quaternion: ArrayLike, *, where: str = "") -> Pose:
     """Return the pose of a position and a quaternion that a user gave.
 
     Args:
         position: (3,) m.
         quaternion: (4,) x, y, z, w.
         where: what stands before their names in messages.
-        tolerance: largest deviation of the quaternion's norm from 1.
 
     Raises:
         ValueError: not finite numbers of these shapes, or another norm.
     """
     shift = checked_array(f"{where}position", position, (3,))
     turn = checked_array(f"{where}quaternion", quaternion, (4,))
-    if abs(float(np.linalg.norm(turn)) - 1.0) > tolerance:
+    if abs(float(np.linalg.norm(turn)) - 1.0) > _NORM_TOLERANCE:
         raise ValueError(f"{where}quaternion must have norm 1, got {turn.tolist()}")
     return Pose(Rotation.from_quat(turn), shift)
