@@ -14,6 +14,7 @@ from smp_gym.optional_packages import require
 if TYPE_CHECKING:
     from smp_planner.library.height_map import height_map_obstacles
     from smp_planner.library.mesh_obstacles import mesh_obstacles
+    from smp_planner.library.planning_scene import PlanningScene
     from smp_planner.library.smp import (
         SMP,
         AdaptSettings,
@@ -41,6 +42,7 @@ __all__ = [
     "GoalRegion",
     "Plan",
     "PlannerPolicy",
+    "PlanningScene",
     "PointCloud",
     "PriorSettings",
     "Rectangle",
@@ -63,6 +65,7 @@ require("planner", "smp_planner")
 
 _HOMES = {
     "PlannerPolicy": "smp_planner.policy.planner_policy",
+    "PlanningScene": "smp_planner.library.planning_scene",
     "capsule_obstacles": "smp_planner.library.solids",
     "cone_obstacles": "smp_planner.library.solids",
     "height_map_obstacles": "smp_planner.library.height_map",

@@ -334,22 +334,24 @@ def _mesh(mesh: Mapping[str, Any], where: str) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3), m, and triangles (F, 3) of a ``shape_msgs/Mesh``."""
     points = _list(mesh.get("vertices"), f"{where}.vertices")
     vertices = [_vector(p, "xyz", f"{where}.vertices[{i}]") for i, p in enumerate(points)]
-    triangles = []
-    for number, entry in enumerate(_list(mesh.get("triangles"), f"{where}.triangles")):
-        corners = entry.get("vertex_indices") if isinstance(entry, Mapping) else entry
-        whole = isinstance(corners, list | tuple) and len(corners) == 3
-        if not whole or not all(
-            isinstance(i, int) and not isinstance(i, bool) and 0 <= i < len(vertices)
-            for i in corners
-        ):
-            raise ValueError(
-                f"{where}.triangles[{number}] must be three of the {len(vertices)} vertices by "
-                f"number, got {shown(entry)}"
-            )
-        triangles.append(corners)
+    entries = _list(mesh.get("triangles"), f"{where}.triangles")
+    triangles = [
+        _corners(t, len(vertices), f"{where}.triangles[{i}]") for i, t in enumerate(entries)
+    ]
     if not triangles:
         raise ValueError(f"{where} must have vertices and triangles, got none")
     return np.array(vertices), np.array(triangles, np.int64)
+
+
+def _corners(triangle: Any, count: int, where: str) -> list[int]:
+    """Return the numbers of three of `count` vertices."""
+    given = triangle.get("vertex_indices") if isinstance(triangle, Mapping) else triangle
+    corners = [] if isinstance(given, str) or not isinstance(given, Sequence) else list(given)
+    if len(corners) != 3 or not all(type(i) is int and 0 <= i < count for i in corners):
+        raise ValueError(
+            f"{where} must be three of the {count} vertices by number, got {shown(triangle)}"
+        )
+    return corners
 
 
 def _header(item: Mapping[str, Any], where: str) -> str:
