@@ -178,8 +178,9 @@ def base_moved(state: Any, where: str) -> str | None:
     Raises:
         ValueError: a field is wrong.
     """
+    state = _mapping(state or {}, where)
     where = f"{where}.multi_dof_joint_state"
-    entries = _mapping(_mapping(state or {}, where).get("multi_dof_joint_state") or {}, where)
+    entries = _mapping(state.get("multi_dof_joint_state") or {}, where)
     names = _list(entries.get("joint_names"), f"{where}.joint_names")
     transforms = _list(entries.get("transforms"), f"{where}.transforms")
     if len(names) != len(transforms):
