@@ -82,8 +82,8 @@ class PlanningScene:
         padding and colours are left alone, as are tolerances of goals.
 
         Args:
-            path: of MoveIt's text (``.scene``), or of YAML with the fields of
-                ``moveit_msgs/PlanningScene``, as MotionBenchMaker has it.
+            path: of MoveIt's text (``.scene``, at most 16 MiB), or of YAML (at most 1 MiB) with the
+                fields of ``moveit_msgs/PlanningScene``, as MotionBenchMaker has it.
             request: of YAML with the fields of ``moveit_msgs/MotionPlanRequest``; None reads start
                 and goals from the scene's file, if it has any.
             robot: whose links that do not move are frames of known places, and whose root link
@@ -196,12 +196,10 @@ def _poses(
         given: the user's, by name.
         robot: whose links are frames, too.
     """
-    known = {*names, *fixed, *(parent for parent, _ in fixed.values())}
+    known = {WORLD, *names, *fixed, *(parent for parent, _ in fixed.values())}
     unknown = sorted(set(given) - known)
     if unknown:
-        raise ValueError(
-            f"frames must be of {', '.join(sorted(known)) or 'none'}, got {', '.join(unknown)}"
-        )
+        raise ValueError(f"frames must be of {', '.join(sorted(known))}, got {', '.join(unknown)}")
     placed = dict(given)
     for name, pose in {} if robot is None else robot.base_links.items():
         placed.setdefault(name, Pose(Rotation.from_matrix(pose[:3, :3]), pose[:3, 3]))

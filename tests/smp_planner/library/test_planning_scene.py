@@ -298,7 +298,7 @@ def test_frames_of_unknown_place_are_refused(write, tmp_path):
     assert "where odom are" in refused(write, box_in("odom"), tmp_path)
     where = {"odom": ([0, 0, 1], turned)}
     assert "where base_link are" in refused(write, box_in("odom", "base_link"), frames=where)
-    assert "of base_link, got odom" in refused(write, box_in("base_link"), frames=where)
+    assert "of base_link, world, got odom" in refused(write, box_in("base_link"), frames=where)
     cycle = [
         {"header": {"frame_id": a}, "child_frame_id": b, "transform": {}}
         for a, b in (("x", "y"), ("y", "x"))
