@@ -9,12 +9,20 @@ the line after the first id tells.
 from __future__ import annotations
 
 import math
-from typing import Any
+from bisect import bisect_right
+from collections.abc import Callable
+from itertools import accumulate
+from typing import Any, TypeVar
 
 __all__ = ["scene_message"]
 
 _MEASURES = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "plane": 4}
 """Numbers that follow the name of a shape."""
+
+_LONGEST_COUNT = 9
+"""Digits of a whole number at most."""
+
+_Number = TypeVar("_Number", int, float)
 
 
 def scene_message(text: str) -> dict[str, Any]:
@@ -24,7 +32,7 @@ def scene_message(text: str) -> dict[str, Any]:
         ValueError: not such a text; the message names the line.
     """
     words = _Words(text)
-    name = words.rest()
+    name = words.first_line()
     objects: list[dict[str, Any]] = []
     marker, posed = words.next("'*' or '.'"), None
     while marker != ".":
@@ -37,8 +45,8 @@ def scene_message(text: str) -> dict[str, Any]:
         posed = words.left_in_line() > 1 if posed is None else posed
         objects.append(_object(identity, words, posed))
         marker = words.next("'*' or '.'")
-    trailing = words.peek()
-    if trailing is not None:
+    if words.peek() is not None:
+        trailing = words.next("nothing")
         raise ValueError(f"line {words.line} must be empty after the end '.', got {trailing!r:.60}")
     return {"name": name, "world": {"collision_objects": objects}}
 
@@ -94,89 +102,89 @@ class _Words:
 
     Args:
         text: of any number of lines.
-
-    Attributes:
-        line: number of the line of the last word, from 1.
     """
 
     def __init__(self, text: str) -> None:
-        self._lines = text.splitlines()
-        self._row = 0
-        self._waiting: list[str] = []
-        self._load()
-        self._left = sum(len(line.split()) for line in self._lines)
-        self.line = 1
+        lines = [line.split() for line in text.splitlines()]
+        self._words = [word for line in lines for word in line]
+        # Of each line, how many words stand there or before.
+        self._ends = list(accumulate(map(len, lines)))
+        self._place = 0
 
-    def _load(self) -> None:
-        if self._row < len(self._lines):
-            self._waiting = self._lines[self._row].split()[::-1]
-
-    def _advance(self) -> None:
-        while not self._waiting and self._row < len(self._lines):
-            self._row += 1
-            self._load()
+    @property
+    def line(self) -> int:
+        """Number of the line of the last word, from 1."""
+        return bisect_right(self._ends, max(self._place - 1, 0)) + 1
 
     def peek(self) -> str | None:
         """Return the next word; None at the end."""
-        self._advance()
-        if not self._waiting:
-            return None
-        self.line = self._row + 1
-        return self._waiting[-1]
+        return self._words[self._place] if self._place < len(self._words) else None
 
     def next(self, what: str) -> str:
         """Return the next word, of which a message says what it should have been."""
-        word = self.peek()
-        if word is None:
-            raise ValueError(f"line {len(self._lines)} must be followed by {what}, got the end")
-        self._left -= 1
-        return self._waiting.pop()
+        return self._next(1, what)[0]
+
+    def _next(self, count: int, what: str) -> list[str]:
+        words = self._words[self._place : self._place + count]
+        if len(words) < count:
+            raise ValueError(f"line {len(self._ends)} must be followed by {what}, got the end")
+        self._place += count
+        return words
+
+    def first_line(self) -> str:
+        """Return the first line, of which no word was taken."""
+        return " ".join(self._next(self._ends[0] if self._ends else 0, "a name"))
 
     def rest(self) -> str:
-        """Return what is left of the line of the last word, and go to the next line."""
-        words = self._waiting[::-1]
-        self._left -= len(words)
-        self._row += 1
-        self._waiting = []
-        self._load()
-        return " ".join(words)
+        """Return what is left of the line of the last word."""
+        return " ".join(self._next(self._ends[self.line - 1] - self._place, "words"))
 
     def left_in_line(self) -> int:
-        """Return how many words are left in the line of the next word."""
-        self.peek()
-        return len(self._waiting)
+        """Return how many words the line of the next word has left."""
+        line = bisect_right(self._ends, self._place)
+        return self._ends[line] - self._place if line < len(self._ends) else 0
 
     def refuse_beyond(self, needed: int, what: str) -> None:
         """Raise a ValueError if fewer words are left."""
-        if needed > self._left:
+        left = len(self._words) - self._place
+        if needed > left:
             raise ValueError(
-                f"line {self.line} announces {needed} {what}, got {self._left} words after it"
+                f"line {self.line} announces {needed} {what}, got {left} words after it"
             )
 
     def numbers(self, count: int, what: str) -> list[float]:
         """Return the next numbers, which are finite."""
-        found = []
-        for _ in range(count):
-            word = self.next(what)
-            try:
-                number = float(word)
-            except ValueError:
-                number = math.nan
-            if not math.isfinite(number):
-                raise ValueError(f"line {self.line} must hold {what}, got {word!r:.60}")
-            found.append(number)
-        return found
+        return self._checked(count, what, _finite)
 
     def counts(self, count: int, what: str) -> list[int]:
         """Return the next whole numbers, which are not negative."""
+        return self._checked(count, what, _whole)
+
+    def _checked(self, count: int, what: str, read: Callable[[str], _Number]) -> list[_Number]:
+        begin = self._place
         found = []
-        for _ in range(count):
-            word = self.next(what)
-            if not (word.isascii() and word.isdigit() and len(word) < 10):
-                raise ValueError(f"line {self.line} must hold {what}, got {word!r:.60}")
-            found.append(int(word))
+        for word in self._next(count, what):
+            try:
+                found.append(read(word))
+            except ValueError:
+                self._place = begin + len(found) + 1
+                message = f"line {self.line} must hold {what}, got {word!r:.60}"
+                raise ValueError(message) from None
         return found
 
     def count(self, what: str) -> int:
         """Return the next whole number, which is not negative."""
         return self.counts(1, what)[0]
+
+
+def _finite(word: str) -> float:
+    number = float(word)
+    if not math.isfinite(number):
+        raise ValueError
+    return number
+
+
+def _whole(word: str) -> int:
+    if not (word.isascii() and word.isdigit() and len(word) <= _LONGEST_COUNT):
+        raise ValueError
+    return int(word)
