@@ -27,6 +27,7 @@ import torch
 import typer
 from rich.console import Console
 from rich.table import Table
+from trimesh.creation import box
 
 import smp_gym  # noqa: F401
 from smp_gym.assets import jaco_urdf
@@ -45,12 +46,17 @@ from smp_planner import (
     Circle,
     GoalRegion,
     PlannerPolicy,
+    PlanningScene,
     PointCloud,
     PriorSettings,
     Rectangle,
     Robot,
     ViaPoint,
+    capsule_obstacles,
+    cone_obstacles,
+    height_map_obstacles,
     make_planner,
+    mesh_obstacles,
 )
 from smp_planner.adaptation import adaptation
 from smp_planner.benchmark.episodes import EpisodeRow
@@ -58,6 +64,35 @@ from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_res
 from smp_planner.benchmark.options import run_command
 from smp_planner.benchmark.results_folder import RESULTS
 from smp_planner.movement_primitives import GaussianBasis, ProMP
+
+SCENE = """scene
+* things
+0.5 0 0.1
+0 0 0 1
+3
+cylinder
+0.05 0.1
+0 0 0
+0 0 0 1
+0 0 0 0
+cone
+0.05 0.1
+0 0 0.2
+0 0 0 1
+0 0 0 0
+mesh
+3 1
+0 0 0
+0.1 0 0
+0 0.1 0
+0 1 2
+0.2 0 0
+0 0 0 1
+0 0 0 0
+0
+.
+"""
+"""A scene in MoveIt's text format."""
 
 LIMIT = 10.0
 """Seconds that a call may take."""
@@ -244,6 +279,9 @@ def entries(folder: Path) -> list[Entry]:
     scene = sample_scene("Placement", "easy", 0)
     whole = json.loads(scene.to_json())
     shown = Demonstrations.load("Placement")
+    arm = Robot.from_urdf(jaco_urdf(), "j2s6s200_end_effector")
+    texts = folder / "entry.scene"
+    texts.write_text(SCENE)
 
     def make(**given: Any) -> None:
         gym.make("smp_gym/Placement-v0", **given).close()
@@ -254,6 +292,7 @@ def entries(folder: Path) -> list[Entry]:
     def play(**given: Any) -> None:
         env.reset(options={"scene": {**whole, **given}})
 
+    solid = {"position": no_vector, "quaternion": no_vector}
     body = {"shape": "box", "position": (0.5, 0.0, 0.5), "size": (0.1, 0.1, 0.1)}
     settings = {
         name: not_positive if "float" in str(part.annotation) else no_count
@@ -321,6 +360,25 @@ def entries(folder: Path) -> list[Entry]:
         Entry("PointCloud", PointCloud, {"points": no_vector, "sensor": no_vector,
               "thickness": of(-1, "a", np.nan), "inflation": of(0, -1, "a", np.nan)},
               {"points": np.eye(3), "sensor": (5.0, 5.0, 5.0)}),
+        Entry("mesh_obstacles", mesh_obstacles, {"mesh": of(3, None, "none.txt"),
+              "scale": no_vector, "cell": not_positive, **solid}, {"mesh": box(), "cell": 0.2}),
+        Entry("capsule_obstacles", capsule_obstacles, {"radius": not_positive,
+              "length": not_positive, **solid}, {"radius": 0.1, "length": 0.3}),
+        Entry("cone_obstacles", cone_obstacles, {"radius": not_positive, "height": not_positive,
+              "overshoot": not_positive, **solid},
+              {"radius": 0.1, "height": 0.3, "overshoot": 0.01}),
+        Entry("height_map_obstacles", height_map_obstacles, {"heights": of("abc", None, 3, [1.0],
+              [["a"]], [[np.nan]], [[1j]], [[-1.0]], np.zeros((0, 2)), np.zeros((9, 9, 9))),
+              "resolution": not_positive, "floor": no_number, "overshoot": not_positive,
+              "unknown": of(-1.0, "a", np.nan, []), **solid},
+              {"heights": np.eye(3), "resolution": 0.1, "floor": 0.0}),
+        Entry("PlanningScene.load", PlanningScene.load, {"cell": not_positive,
+              "overshoot": not_positive, "robot": of(3, "a", {}), "request": of(texts, "none.yaml"),
+              "frames": of(3, "a", [], {"world": 3}, {"world": "ab"},
+              {"moon": ((0, 0, 0), (1,) * 4)}, {"world": ((np.nan, 0, 0), (0, 0, 0, 1))},
+              {"moon": ((0, 0, 0), (0, 0, 0, 1))})}, {"path": texts}),
+        Entry("Robot.configuration", arm.configuration, {"positions": no_mapping,
+              "ignored": of("a", 3, None)}, {"positions": dict.fromkeys(arm.joints, 0.0)}),
         Entry("AdaptSettings", AdaptSettings, {**settings, "edge_width": no_vector,
               "map": no_name, "modulation": no_name}),
         Entry("PriorSettings", PriorSettings, learning),
@@ -373,6 +431,7 @@ def readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], Any]]]:
     PlannerPolicy.make("promp", "Placement").save(folder / "policy.zip")
     (folder / "arm.urdf").write_bytes(Path(jaco_urdf()).read_bytes())
     (folder / "scene.json").write_text(sample_scene("Placement", "easy", 0).to_json())
+    (folder / "entry.scene").write_text(SCENE)
     (folder / "scene.yaml").write_text(
         "world:\n  collision_objects:\n    - id: can\n      primitives:\n        - type: cylinder\n"
         "          dimensions: [0.1, 0.05]\n      primitive_poses:\n"
@@ -401,6 +460,8 @@ def readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], Any]]]:
         ("Robot.from_urdf", folder / "arm.urdf", lambda p: Robot.from_urdf(
             p, "j2s6s200_end_effector")),
         ("load_obstacles", folder / "scene.yaml", load_obstacles),
+        ("PlanningScene.load(.yaml)", folder / "scene.yaml", PlanningScene.load),
+        ("PlanningScene.load(.scene)", folder / "entry.scene", PlanningScene.load),
         ("load_episodes", listed, load_list),
         ("read_results", folder / "run" / RESULTS, lambda p: read_results(p.parent)),
         ("Scene.from_json", folder / "scene.json", lambda p: Scene.from_json(p.read_bytes())),

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 from smp_gym.optional_packages import require
 
 if TYPE_CHECKING:
+    from smp_planner.library.height_map import height_map_obstacles
     from smp_planner.library.mesh_obstacles import mesh_obstacles
+    from smp_planner.library.planning_scene import PlanningScene
     from smp_planner.library.smp import (
         SMP,
         AdaptSettings,
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
         Robot,
         ViaPoint,
     )
+    from smp_planner.library.solids import capsule_obstacles, cone_obstacles
     from smp_planner.planners import make_planner
     from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -39,12 +42,16 @@ __all__ = [
     "GoalRegion",
     "Plan",
     "PlannerPolicy",
+    "PlanningScene",
     "PointCloud",
     "PriorSettings",
     "Rectangle",
     "Robot",
     "ViaPoint",
     "__version__",
+    "capsule_obstacles",
+    "cone_obstacles",
+    "height_map_obstacles",
     "make_planner",
     "mesh_obstacles",
 ]
@@ -58,6 +65,10 @@ require("planner", "smp_planner")
 
 _HOMES = {
     "PlannerPolicy": "smp_planner.policy.planner_policy",
+    "PlanningScene": "smp_planner.library.planning_scene",
+    "capsule_obstacles": "smp_planner.library.solids",
+    "cone_obstacles": "smp_planner.library.solids",
+    "height_map_obstacles": "smp_planner.library.height_map",
     "make_planner": "smp_planner.planners",
     "mesh_obstacles": "smp_planner.library.mesh_obstacles",
 }

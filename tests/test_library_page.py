@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pybullet
 import pytest
+import trimesh
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -91,4 +92,36 @@ def test_a_public_robot_moves_clear_of_mesh_and_cloud_within_its_limits(
     assert least_distance(positions, points) > 0.0
     # The recordings run into the mesh.
     assert least_distance(names["arm"].demonstrations[0], duck) < 0.0
+    # The scene of MoveIt: a table, a cone on it and a beam above.
+    cone = trimesh.creation.cone(0.08, 0.3, sections=64)
+    cone.apply_translation((0.0, 0.0, -0.15))
+    cone.export(tmp_path / "cone.obj")
+    shapes = [
+        ({"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.3, 0.6, 0.02]}, (0.6, 0.0, 0.2)),
+        (
+            {"shapeType": pybullet.GEOM_MESH, "fileName": str(tmp_path / "cone.obj")},
+            (0.57, 0.0, 0.37),
+        ),
+        (
+            {"shapeType": pybullet.GEOM_CYLINDER, "radius": 0.05, "height": 0.8},
+            (0.55, 0.0, 1.0),
+        ),
+    ]
+    level = pybullet.getQuaternionFromEuler((0.0, np.pi / 2, 0.0))
+    bodies = [
+        pybullet.createMultiBody(
+            0,
+            pybullet.createCollisionShape(**shape, physicsClientId=client),
+            basePosition=place,
+            baseOrientation=level if number == 2 else (0.0, 0.0, 0.0, 1.0),
+            physicsClientId=client,
+        )
+        for number, (shape, place) in enumerate(shapes)
+    ]
+    plan = names["on_table"]
+    np.testing.assert_allclose(plan.best[0], names["arm"].demonstrations[0][0], atol=1e-3)
+    np.testing.assert_allclose(plan.best[-1], names["arm"].demonstrations[0][-1], atol=1e-3)
+    for body in bodies:
+        assert least_distance(plan.best, body) > 0.0
+    assert least_distance(names["arm"].demonstrations[0], bodies[1]) < 0.0
     pybullet.disconnect(client)

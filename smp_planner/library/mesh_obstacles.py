@@ -11,9 +11,9 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray, checked_array, checked_number
+from smp_gym.geometry.pose import Pose, checked_pose
 from smp_gym.scene import Obstacle
 from smp_planner.library.covering import (
     MOST_SPHERES,
@@ -24,7 +24,7 @@ from smp_planner.library.covering import (
     size_of,
 )
 
-__all__ = ["mesh_obstacles"]
+__all__ = ["mesh_obstacles", "placed_spheres", "spheres_of"]
 
 _MOST_VOXELS = 20_000_000
 """Cells of the grid on which the inside of a mesh is filled at most."""
@@ -65,10 +65,7 @@ def mesh_obstacles(
         >>> spheres = mesh_obstacles(shelf, cell=0.05, position=(0.5, 0.0, 0.3))
     """
     cell = checked_number("cell", cell, above=0.0)
-    offset = checked_array("position", position, (3,))
-    turn = checked_array("quaternion", quaternion, (4,))
-    if abs(float(np.linalg.norm(turn)) - 1.0) > 1e-6:
-        raise ValueError(f"quaternion must have norm 1, got {turn.tolist()}")
+    pose = checked_pose(position, quaternion)
     factors = np.full(3, scale) if np.ndim(scale) == 0 else scale
     factors = checked_array("scale", factors, (3,))
     if not (factors > 0.0).all():
@@ -82,17 +79,38 @@ def mesh_obstacles(
         check_mesh(solid, where)
     else:
         raise ValueError(f"mesh must be a path or a trimesh.Trimesh, got {type(mesh).__name__}")
-    advice = "if its lengths are millimetres, give scale=0.001"
-    _refuse_beyond(float(solid.area) / cell**2, solid, cell, where, advice)
-    refuse_fine(solid, cell, where, advice)
-    spheres = cover_mesh(solid, cell)
-    if solid.is_watertight:
-        spheres = np.concatenate([spheres, _filling(solid, cell)])
-    _refuse_beyond(len(spheres), solid, cell, where, advice)
-    centers = spheres[:, :3] @ Rotation.from_quat(turn).as_matrix().T + offset
+    spheres = spheres_of(solid, cell, where, "if its lengths are millimetres, give scale=0.001")
+    return placed_spheres(spheres, pose)
+
+
+def spheres_of(mesh: Any, cell: float, where: str, advice: str) -> FloatArray:
+    """Return spheres (S, 4) that cover a `trimesh.Trimesh`, and fill it where it is closed.
+
+    Args:
+        mesh: at least one triangle, m.
+        cell: m, as of `mesh_obstacles`.
+        where: what the mesh is, for errors.
+        advice: what else than a larger cell may help, for errors.
+
+    Raises:
+        ValueError: more than 4096 spheres are needed.
+    """
+    _refuse_beyond(float(mesh.area) / cell**2, mesh, cell, where, advice)
+    refuse_fine(mesh, cell, where, advice)
+    spheres = cover_mesh(mesh, cell)
+    if mesh.is_watertight:
+        spheres = np.concatenate([spheres, _filling(mesh, cell)])
+    _refuse_beyond(len(spheres), mesh, cell, where, advice)
+    return spheres
+
+
+def placed_spheres(spheres: FloatArray, pose: Pose) -> list[Obstacle]:
+    """Return spheres (S, 4), centre and radius, m, as obstacles, their frame put at a pose."""
     return [
         Obstacle(shape="sphere", position=(x, y, z), size=(radius, radius, radius))
-        for (x, y, z), radius in zip(centers.tolist(), spheres[:, 3].tolist(), strict=True)
+        for (x, y, z), radius in zip(
+            pose.of(spheres[:, :3]).tolist(), spheres[:, 3].tolist(), strict=True
+        )
     ]
 
 

@@ -7,14 +7,14 @@ drifting apart.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.collision.robot_model import RobotModel
@@ -44,6 +44,9 @@ def write_primitive(
     if robot is not None:
         arrays["joints"] = np.array(json.dumps(robot.joints))
         arrays["continuous"] = np.array(robot.continuous)
+        links = {name: pose.tolist() for name, pose in robot.base_links.items()}
+        arrays["standing"] = np.array(json.dumps(dict(robot.standing)))
+        arrays["base_links"] = np.array(json.dumps(links))
         arrays |= {f"robot_{name}": getattr(robot.model, name) for name in _CHAIN}
         arrays |= {f"spheres_{name}": getattr(robot.model.spheres, name) for name in _SPHERES}
     write_archive(path, _HEADER, arrays)
@@ -77,7 +80,25 @@ def read_primitive(
                 ),
                 tuple(str(joint) for joint in joints),
                 tuple(bool(entry) for entry in arrays["continuous"]),
+                {
+                    name: checked_number(f"standing[{name!r}]", position)
+                    for name, position in _named(arrays, "standing").items()
+                },
+                {
+                    name: checked_array(f"base_links[{name!r}]", pose, (4, 4))
+                    for name, pose in _named(arrays, "base_links").items()
+                },
             )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
     return demonstrations, settings, robot
+
+
+def _named(arrays: Mapping[str, NDArray[Any]], field: str) -> dict[str, Any]:
+    """Return what a field says by name; files of before do not have it."""
+    if field not in arrays:
+        return {}
+    given = parse_json(str(arrays[field]), field)
+    if not isinstance(given, dict):
+        raise ValueError(f"{field} must hold values by name, got {shown(given)}")
+    return given

@@ -7,7 +7,7 @@ frame that is turned so. Its base frame is that of the URDF's root link. Metres 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,9 @@ from smp_planner.library.urdf_reading import Description, Joint, Link, read_desc
 
 __all__ = ["Robot"]
 
+_STANDING = 1e-3
+"""rad or m: files round positions to three digits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -36,11 +39,16 @@ class Robot:
             demonstrations what may come near to what.
         joints: (n) names of its joints, in the order of a configuration's coordinates.
         continuous: (n) whether a turn of 2 pi changes nothing about a joint; none by default.
+        standing: where other joints stand, rad or m, by name: those held, those that mimic them,
+            and those beside the chain. Fixed ones are left out.
+        base_links: (4, 4) poses in the root link of all links that do not move, by name.
     """
 
     model: RobotModel
     joints: tuple[str, ...]
     continuous: tuple[bool, ...] = ()
+    standing: Mapping[str, float] = field(default_factory=dict)
+    base_links: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
@@ -113,6 +121,54 @@ class Robot:
     def tool_positions(self, configurations: FloatArray) -> FloatArray:
         """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
         return self.model.carried_points(configurations, np.zeros(3))[0]
+
+    def configuration(
+        self, positions: Mapping[str, float], *, ignored: Iterable[str] = ()
+    ) -> FloatArray:
+        """Return the configuration (n,) rad of joints that are given by name, in any order.
+
+        Args:
+            positions: rad or m. Those of joints that do not move must be where these stand, up to
+                1e-3, for the robot's shape depends on them.
+            ignored: joints in it that are not this robot's, or matter for nothing.
+
+        Raises:
+            ValueError: a joint is missing, is not of this robot, or stands elsewhere; the message
+                names all such joints.
+        """
+        if not isinstance(positions, Mapping):
+            raise ValueError(
+                f"positions must map names of joints to numbers, got {shown(positions)}"
+            )
+        if isinstance(ignored, str) or not isinstance(ignored, Iterable):
+            raise ValueError(f"ignored must be names of joints, got {shown(ignored)}")
+        left = set(ignored)
+        given = {
+            name: checked_number(f"positions[{name!r}]", position)
+            for name, position in positions.items()
+            if name not in left
+        }
+        for what, names in (
+            ("must give all joints, but lack", [n for n in self.joints if n not in given]),
+            (
+                "name joints that the robot lacks (ignored= leaves them out):",
+                [str(n) for n in given if n not in self.joints and n not in self.standing],
+            ),
+        ):
+            if names:
+                raise ValueError(f"positions {what} {', '.join(names)}")
+        elsewhere = {
+            name: position
+            for name, position in given.items()
+            if name in self.standing and abs(position - self.standing[name]) > _STANDING
+        }
+        if elsewhere:
+            stands = {name: self.standing[name] for name in elsewhere}
+            raise ValueError(
+                f"positions must be where the robot's other joints stand, {stands}, got "
+                f"{elsewhere}: make the robot with held={elsewhere}"
+            )
+        return np.array([given[name] for name in self.joints])
 
     def timed(
         self,
@@ -316,7 +372,14 @@ def _assembled(
         collision_pairs=np.empty((0, 2), np.int64),
     )
     names = tuple(joint.name for joint in chain)
-    return Robot(model, names, tuple(joint.kind == "continuous" for joint in chain))
+    standing = {
+        name: position
+        for name, position in positions.items()
+        if position is not None and not joints[name].is_fixed
+    }
+    base_links = {name: pose for name, (index, pose) in placed.items() if index == 0}
+    continuous = tuple(joint.kind == "continuous" for joint in chain)
+    return Robot(model, names, continuous, standing, base_links)
 
 
 def _turning_z_to(axis: FloatArray) -> FloatArray:

@@ -128,7 +128,10 @@ def test_a_scene_without_objects_is_empty(write):
         (one(type="cone", dimensions="[0.1, 0.2]"), "a cone, .* skip_unsupported=True"),
         (one(dimensions="[0.1, 0.2, 9.0]"), "thing must have .* within 2.0 m"),
         (one().replace("id: thing", "id: thing\n      operation: remove"), "thing.operation"),
-        (one().replace("id: thing", "id: thing\n      meshes: [{resource: a.stl}]"), "has meshes"),
+        (
+            one().replace("id: thing", "id: thing\n      meshes: [{resource: a.stl}]"),
+            r"thing.meshes\[0\] is a mesh, .* skip_unsupported=True",
+        ),
         (one().replace("world:", "world:\n  octomap: {origin: {}}"), "world has an octomap"),
         (one().replace("primitive_poses: [", "primitive_poses: [{}, "), "a pose for each of its 1"),
         (SCENE.replace("base_link", "odom", 1), "one frame, got base_link, odom"),

@@ -1,0 +1,421 @@
+"""Planning scenes and requests of MoveIt, read from files.
+
+YAML files have the fields of the messages ``moveit_msgs/PlanningScene`` and
+``moveit_msgs/MotionPlanRequest``, as robowflex writes them for MotionBenchMaker (Chamzas et al.
+2022) and ``rosmsg`` prints them; text files (``.scene``) are those that MoveIt exports. Reading
+YAML needs PyYAML: ``pip install "smp-gym[motion-bench-maker]"``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from smp_gym.arrays import FloatArray, IntArray, shown
+from smp_gym.datasets.moveit_text import scene_message
+from smp_gym.geometry.pose import Pose
+from smp_gym.geometry.registry import REGISTRY
+from smp_gym.optional_packages import require
+from smp_gym.scene import Obstacle
+from smp_gym.untrusted_files import parse_yaml, read_file
+
+__all__ = [
+    "WORLD",
+    "SceneBody",
+    "base_moved",
+    "bodies_of",
+    "frames_of",
+    "goals_of",
+    "has_octomap",
+    "held_of",
+    "joints_of",
+    "path_constrained",
+    "read_message",
+]
+
+WORLD = "world"
+"""Frame of what names none."""
+
+_LARGEST_TEXT = 16 * 2**20
+"""Bytes of a text file."""
+
+_DIMENSIONS = {name: shape.dimensions for name, shape in REGISTRY.items()} | {"cone": 2}
+_NUMBERS = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
+"""Primitives of a MoveIt scene: how many dimensions each has; the numbers that
+``shape_msgs/SolidPrimitive`` gives them."""
+
+_NORM_TOLERANCE = 0.01
+"""Largest deviation of an orientation's norm from 1: files have it rounded to three digits."""
+
+_MOVED = 1e-6
+"""m or rad by which the base of a robot may be moved and stand where it is."""
+
+_CONSTRAINTS = ("position", "orientation", "visibility")
+"""Kinds of constraints that say nothing of joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneBody:
+    """A shape of a collision object.
+
+    Attributes:
+        name: of the object.
+        where: the shape, for messages.
+        kind: a shape of obstacles, "cone", "mesh" or "plane".
+        frame: in which its pose is.
+        pose: of its centre; of a plane, or a mesh of a file of its own, no matter.
+        dimensions: m, as of ``shape_msgs/SolidPrimitive``: height and radius of a cone.
+        vertices: (V, 3) m, of a mesh.
+        triangles: (F, 3), of a mesh.
+    """
+
+    name: str
+    where: str
+    kind: str
+    frame: str
+    pose: Pose
+    dimensions: tuple[float, ...] = ()
+    vertices: FloatArray | None = None
+    triangles: IntArray | None = None
+
+    def obstacle(self, base: Pose) -> Obstacle:
+        """Return a body of a shape of obstacles as one, its frame put at a pose."""
+        pose = base.then(self.pose)
+        x, y, z = pose.position.tolist()
+        a, b, c = REGISTRY[self.kind].of_dimensions(self.dimensions).tolist()
+        return Obstacle(
+            shape=self.kind, position=(x, y, z), quaternion=pose.quaternion, size=(a, b, c)
+        )
+
+
+def read_message(path: str | PathLike[str]) -> Mapping[str, Any]:
+    """Return what a file holds, with the fields of the message.
+
+    Args:
+        path: of a text file, named ``.scene``, or else of one in YAML.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: neither such a text nor a mapping in YAML.
+        ImportError: it is YAML, and PyYAML is not installed.
+    """
+    file = Path(path)
+    if file.suffix.lower() == ".scene":
+        content = read_file(file, _LARGEST_TEXT)
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"it is no text: {error}") from error
+        return scene_message(text)
+    require("motion-bench-maker", "reading MoveIt's YAML files")
+    return _mapping(parse_yaml(read_file(file), "it"), "the file")
+
+
+def bodies_of(message: Mapping[str, Any]) -> Iterator[SceneBody]:
+    """Yield the bodies of a scene in their order.
+
+    Raises:
+        ValueError: a field is wrong; the message names object, field and value.
+    """
+    items = _list(_world(message).get("collision_objects"), "world.collision_objects")
+    for number, entry in enumerate(items):
+        item = _mapping(entry, f"collision_objects[{number}]")
+        yield from _bodies(f"{item.get('id', number)!s}", item)
+
+
+def frames_of(message: Mapping[str, Any]) -> dict[str, tuple[str, Pose]]:
+    """Return the fixed frames of a scene: of each its parent, and its pose there.
+
+    Raises:
+        ValueError: a field is wrong, or a frame has two poses.
+    """
+    frames: dict[str, tuple[str, Pose]] = {}
+    entries = _list(message.get("fixed_frame_transforms"), "fixed_frame_transforms")
+    for number, entry in enumerate(entries):
+        where = f"fixed_frame_transforms[{number}]"
+        item = _mapping(entry, where)
+        child, parent = _frame(item.get("child_frame_id")), _header(item, where)
+        pose = _transform(item.get("transform"), f"{where}.transform")
+        if child == parent:
+            if not _stays(pose):
+                raise ValueError(f"{where} must not move the frame {child!r} in itself")
+            continue
+        if child in frames:
+            raise ValueError(f"{where} must place another frame than those before, got {child!r}")
+        frames[child] = parent, pose
+    return frames
+
+
+def joints_of(state: Any, where: str) -> dict[str, float]:
+    """Return the positions, rad or m, of the joints of a ``moveit_msgs/RobotState`` by name.
+
+    Raises:
+        ValueError: a field is wrong, or a joint stands there twice.
+    """
+    state = _mapping(state or {}, where)
+    where = f"{where}.joint_state"
+    entries = _mapping(state.get("joint_state") or {}, where)
+    names = _list(entries.get("name"), f"{where}.name")
+    positions = _list(entries.get("position"), f"{where}.position")
+    if len(names) != len(positions):
+        raise ValueError(
+            f"{where} must have a position for each of its {len(names)} names, got {len(positions)}"
+        )
+    pairs = zip(names, positions, strict=True)
+    return _joints([(name, _number(value, f"{where}.position")) for name, value in pairs], where)
+
+
+def base_moved(state: Any, where: str) -> str | None:
+    """Return a joint of several degrees of freedom that a robot's state moves; None without.
+
+    Raises:
+        ValueError: a field is wrong.
+    """
+    state = _mapping(state or {}, where)
+    where = f"{where}.multi_dof_joint_state"
+    entries = _mapping(state.get("multi_dof_joint_state") or {}, where)
+    names = _list(entries.get("joint_names"), f"{where}.joint_names")
+    transforms = _list(entries.get("transforms"), f"{where}.transforms")
+    if len(names) != len(transforms):
+        raise ValueError(
+            f"{where} must have a transform for each of its {len(names)} names, got "
+            f"{len(transforms)}"
+        )
+    for number, (name, entry) in enumerate(zip(names, transforms, strict=True)):
+        if not _stays(_transform(entry, f"{where}.transforms[{number}]")):
+            return str(name)
+    return None
+
+
+def held_of(message: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the objects that the robot of a scene holds.
+
+    Raises:
+        ValueError: a field is wrong.
+    """
+    where = "robot_state.attached_collision_objects"
+    state = _mapping(message.get("robot_state") or {}, "robot_state")
+    names = []
+    for number, entry in enumerate(_list(state.get("attached_collision_objects"), where)):
+        item = _mapping(entry, f"{where}[{number}]")
+        held = _mapping(item.get("object") or {}, f"{where}[{number}].object")
+        names.append(str(held.get("id", number)))
+    return tuple(names)
+
+
+def has_octomap(message: Mapping[str, Any]) -> bool:
+    """Return whether a scene has an octomap in which something is."""
+    octomap = _world(message).get("octomap")
+    inner = octomap.get("octomap") if isinstance(octomap, Mapping) else None
+    return bool(octomap) and not (isinstance(inner, Mapping) and not inner.get("data"))
+
+
+def goals_of(message: Mapping[str, Any]) -> tuple[dict[str, float], ...]:
+    """Return the goals of a request: of each the positions, rad or m, of joints by name.
+
+    Tolerances are left alone: a goal is the position itself.
+
+    Raises:
+        ValueError: a field is wrong, or a goal is not one of joints alone.
+    """
+    goals = []
+    for number, entry in enumerate(_list(message.get("goal_constraints"), "goal_constraints")):
+        where = f"goal_constraints[{number}]"
+        item = _mapping(entry, where)
+        for kind in _CONSTRAINTS:
+            if item.get(f"{kind}_constraints"):
+                raise ValueError(
+                    f"{where} has {kind}_constraints, but only joint_constraints can be read"
+                )
+        given = []
+        where = f"{where}.joint_constraints"
+        for index, constraint in enumerate(_list(item.get("joint_constraints"), where)):
+            fields = _mapping(constraint, f"{where}[{index}]")
+            position = _number(fields.get("position"), f"{where}[{index}].position")
+            given.append((fields.get("joint_name"), position))
+        if not given:
+            raise ValueError(f"{where} must hold at least one joint, got none")
+        goals.append(_joints(given, where))
+    return tuple(goals)
+
+
+def path_constrained(message: Mapping[str, Any]) -> bool:
+    """Return whether a request constrains the path between start and goal."""
+    path = message.get("path_constraints") or {}
+    trajectory = message.get("trajectory_constraints") or {}
+    kinds = [f"{kind}_constraints" for kind in ("joint", *_CONSTRAINTS)]
+    constraints = _mapping(path, "path_constraints")
+    along = _mapping(trajectory, "trajectory_constraints")
+    return any(constraints.get(kind) for kind in kinds) or bool(along.get("constraints"))
+
+
+def _joints(pairs: Sequence[tuple[Any, float]], where: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, position in pairs:
+        if not isinstance(name, str) or not name or name in found:
+            raise ValueError(f"{where} must name each joint once, got {shown(name)}")
+        found[name] = position
+    return found
+
+
+def _world(message: Mapping[str, Any]) -> Mapping[str, Any]:
+    return _mapping(message.get("world"), "world")
+
+
+def _bodies(name: str, item: Mapping[str, Any]) -> Iterator[SceneBody]:
+    operation = str(item.get("operation", "add")).lower()
+    if operation not in ("add", "append", "0", "2"):
+        raise ValueError(f"{name}.operation must be 'add' or 'append', got {operation!r}")
+    frame, given = _header(item, name), item.get("pose")
+    own = _pose(given, f"{name}.pose") if given else Pose.identity()
+    primitives = _list(item.get("primitives"), f"{name}.primitives")
+    poses = _poses(item, "primitive", len(primitives), name)
+    for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
+        where = f"{name}.primitives[{index}]"
+        kind, dimensions = _primitive(primitive, where)
+        yield SceneBody(name, where, kind, frame, own.then(pose), dimensions)
+    meshes = [
+        _mapping(mesh, f"{name}.meshes[{index}]")
+        for index, mesh in enumerate(_list(item.get("meshes"), f"{name}.meshes"))
+    ]
+    # A mesh of another file has no place here, so that its pose does not matter.
+    elsewhere = all(mesh.get("resource") for mesh in meshes)
+    poses = [own] * len(meshes) if elsewhere else _poses(item, "mesh", len(meshes), name)
+    for index, (mesh, pose) in enumerate(zip(meshes, poses, strict=True)):
+        where = f"{name}.meshes[{index}]"
+        vertices, triangles = (None, None) if mesh.get("resource") else _mesh(mesh, where)
+        yield SceneBody(
+            name, where, "mesh", frame, own.then(pose), vertices=vertices, triangles=triangles
+        )
+    for index, _ in enumerate(_list(item.get("planes"), f"{name}.planes")):
+        yield SceneBody(name, f"{name}.planes[{index}]", "plane", frame, own)
+
+
+def _poses(item: Mapping[str, Any], kind: str, count: int, name: str) -> list[Pose]:
+    """Return the poses of an object's shapes of one kind; all its own, if it has one alone."""
+    field, kinds = f"{kind}_poses", "meshes" if kind == "mesh" else f"{kind}s"
+    poses = _list(item.get(field), f"{name}.{field}")
+    if not poses and item.get("pose"):
+        poses = [{}] * count
+    if len(poses) != count:
+        raise ValueError(
+            f"{name} must have a pose for each of its {count} {kinds}, got {len(poses)}"
+        )
+    return [_pose(given, f"{name}.{field}[{index}]") for index, given in enumerate(poses)]
+
+
+def _primitive(primitive: Any, where: str) -> tuple[str, tuple[float, ...]]:
+    """Return shape and dimensions, m, of a ``shape_msgs/SolidPrimitive``."""
+    entries = _mapping(primitive, where)
+    kind = entries.get("type")
+    shape = _NUMBERS.get(kind, kind) if isinstance(kind, int) else kind
+    shape = shape.lower() if isinstance(shape, str) else shape
+    if shape not in _DIMENSIONS:
+        raise ValueError(f"{where}.type must be one of {', '.join(_DIMENSIONS)}; got {kind!r}")
+    given = _list(entries.get("dimensions"), f"{where}.dimensions")
+    if len(given) != _DIMENSIONS[shape]:
+        raise ValueError(
+            f"{where}.dimensions of a {shape} must be {_DIMENSIONS[shape]} numbers, got "
+            f"{list(given)}"
+        )
+    dimensions = [_number(entry, f"{where}.dimensions") for entry in given]
+    if min(dimensions) <= 0.0:
+        raise ValueError(f"{where}.dimensions must be positive, got {dimensions}")
+    return shape, tuple(dimensions)
+
+
+def _mesh(mesh: Mapping[str, Any], where: str) -> tuple[FloatArray, IntArray]:
+    """Return vertices (V, 3), m, and triangles (F, 3) of a ``shape_msgs/Mesh``."""
+    points = _list(mesh.get("vertices"), f"{where}.vertices")
+    vertices = [_vector(p, "xyz", f"{where}.vertices[{i}]") for i, p in enumerate(points)]
+    entries = _list(mesh.get("triangles"), f"{where}.triangles")
+    triangles = [
+        _corners(t, len(vertices), f"{where}.triangles[{i}]") for i, t in enumerate(entries)
+    ]
+    if not triangles:
+        raise ValueError(f"{where} must have vertices and triangles, got none")
+    return np.array(vertices), np.array(triangles, np.int64)
+
+
+def _corners(triangle: Any, count: int, where: str) -> list[int]:
+    """Return the numbers of three of `count` vertices."""
+    given = triangle.get("vertex_indices") if isinstance(triangle, Mapping) else triangle
+    corners = [] if isinstance(given, str) or not isinstance(given, Sequence) else list(given)
+    if len(corners) != 3 or not all(type(i) is int and 0 <= i < count for i in corners):
+        raise ValueError(
+            f"{where} must be three of the {count} vertices by number, got {shown(triangle)}"
+        )
+    return corners
+
+
+def _header(item: Mapping[str, Any], where: str) -> str:
+    """Return the frame that the header of an object names."""
+    return _frame(_mapping(item.get("header") or {}, f"{where}.header").get("frame_id"))
+
+
+def _frame(name: Any) -> str:
+    return str(WORLD if name is None else name).lstrip("/") or WORLD
+
+
+def _stays(pose: Pose) -> bool:
+    """Return whether a pose moves nothing."""
+    return bool(np.abs(pose.position).max() <= _MOVED and pose.rotation.magnitude() <= _MOVED)
+
+
+def _transform(value: Any, where: str) -> Pose:
+    return _pose(value, where, "translation", "rotation")
+
+
+def _pose(value: Any, where: str, shift: str = "position", turn: str = "orientation") -> Pose:
+    entries = _mapping(value, where)
+    position = _vector(entries.get(shift, (0.0, 0.0, 0.0)), "xyz", f"{where}.{shift}")
+    given = entries.get(turn, (0.0, 0.0, 0.0, 1.0))
+    quaternion = _vector(given, "xyzw", f"{where}.{turn}")
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        raise ValueError(f"{where}.{turn} must have norm 1, got {given!r} with norm {norm:.4g}")
+    return Pose(Rotation.from_quat(quaternion), position)
+
+
+def _mapping(value: Any, where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{where} must be a mapping, got {value!r:.60}")
+    return value
+
+
+def _list(value: Any, where: str) -> Sequence[Any]:
+    if value is None:
+        return ()
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ValueError(f"{where} must be a list, got {value!r:.60}")
+    return value
+
+
+def _number(value: Any, where: str) -> float:
+    # PyYAML takes 1e-05 for a text: YAML 1.1 wants a point in it.
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{where} must hold finite numbers, got {shown(value)}")
+    return number
+
+
+def _vector(value: Any, names: str, where: str) -> FloatArray:
+    """Return a vector that is written as a list, or as a mapping of these names."""
+    if isinstance(value, Mapping) and set(names) <= set(value):
+        value = [value[name] for name in names]
+    entries = _list(value, where)
+    if len(entries) != len(names):
+        raise ValueError(
+            f"{where} must be [{', '.join(names)}] or a mapping of these, got {value!r:.60}"
+        )
+    return np.array([_number(entry, where) for entry in entries])
