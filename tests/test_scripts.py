@@ -29,6 +29,7 @@ EXAMPLES = [
         "draw_scenes",
         "export_minari",
         "kill_runs",
+        "leaderboard",
         "lasa",
         "make_benchmark",
         "make_jaco_assets",

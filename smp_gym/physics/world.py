@@ -326,11 +326,10 @@ class BulletWorld:
             self._contacts = frozenset(self._pair(*key) for key in touching)
         return self._contacts
 
-    def contact_point(self, contact: Contact) -> FloatArray:
+    def contact_point(self, contact: Contact) -> FloatArray | None:
         """Return where two parts touch, (3,) m, the middle of their points of contact.
 
-        Raises:
-            ValueError: they do not touch.
+        None where they do not touch.
         """
         points = [
             (*point[5], *point[6])
@@ -338,7 +337,7 @@ class BulletWorld:
             if (point[9] > 0.0 or point[8] < 0.0) and self._pair(*point[1:5]) == contact
         ]
         if not points:
-            raise ValueError(f"contact must be of two parts that touch, got {contact}")
+            return None
         middle: FloatArray = np.array(points).reshape(-1, 3).mean(axis=0)
         return middle
 
