@@ -26,6 +26,7 @@ EXAMPLES = [
         "check_environments",
         "check_witnesses",
         "controls",
+        "data_card",
         "draw_scenes",
         "export_minari",
         "kill_runs",

@@ -10,11 +10,12 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
 from itertools import groupby
 from pathlib import Path
 from statistics import median
+from typing import Any, TypeVar
 
 from smp_gym.assets import asset_path
 from smp_gym.atomic_files import replacing
@@ -106,10 +107,11 @@ class LeaderboardEpisode:
     @property
     def entry(self) -> tuple[str | float, ...]:
         """What the episodes of one entry have in common."""
-        return astuple(self)[:_ENTRY_FIELDS]
+        return tuple(getattr(self, name) for name in _COMMON)
 
 
-_ENTRY_FIELDS = [each.name for each in fields(LeaderboardEpisode)].index("half")
+_NAMES = [each.name for each in fields(LeaderboardEpisode)]
+_COMMON = _NAMES[: _NAMES.index("half")]
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,9 @@ class Entry:
     high: float
     planning_time: float
     code: str
+
+
+_Line = TypeVar("_Line", LeaderboardEpisode, Entry)
 
 
 def leaderboard_folder() -> Path:
@@ -204,18 +209,21 @@ def _check_run(folder: Path, manifest: Manifest, rows: Sequence[EpisodeRow]) -> 
 def entries(episodes: Iterable[LeaderboardEpisode]) -> list[Entry]:
     """Return the lines of the leaderboard: within cell and scenes, the best method first."""
     counted = []
-    for common, group in groupby(sorted(episodes), key=lambda episode: episode.entry):
+    for _, group in groupby(sorted(episodes), key=lambda episode: episode.entry):
         played = list(group)
         successes = sum(episode.success for episode in played)
         rate = rate_interval(successes, len(played))
+        common: dict[str, Any] = {name: getattr(played[0], name) for name in _COMMON}
         counted.append(
             Entry(
-                *common,  # type: ignore[arg-type]
-                len(played),
-                successes,
-                *(round(rate[name], _DIGITS) for name in ("value", "low", "high")),
-                round(median(episode.planning_time for episode in played), _DIGITS),
-                " ".join(sorted({episode.code for episode in played})),
+                **common,
+                n=len(played),
+                successes=successes,
+                rate=round(rate["value"], _DIGITS),
+                low=round(rate["low"], _DIGITS),
+                high=round(rate["high"], _DIGITS),
+                planning_time=round(median(e.planning_time for e in played), _DIGITS),
+                code=" ".join(sorted({episode.code for episode in played})),
             )
         )
 
@@ -239,7 +247,7 @@ def read_episodes(folder: Path) -> list[LeaderboardEpisode]:
         text = unzipped(read_file(path), "the file", LARGEST_TEXT).decode("utf-8")
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} is not a file of episodes: {error}") from error
-    episodes: list[LeaderboardEpisode] = _parsed(path, text, LeaderboardEpisode)
+    episodes = _parsed(path, text, LeaderboardEpisode)
     keys = [(episode.entry, episode.key) for episode in episodes]
     if len(set(keys)) < len(keys):
         raise ValueError(f"{path} holds an episode twice")
@@ -257,14 +265,13 @@ def read_leaderboard(folder: Path) -> list[Entry]:
         text = read_file(path).decode("utf-8")
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} is not a leaderboard: {error}") from error
-    lines: list[Entry] = _parsed(path, text, Entry)
-    return lines
+    return _parsed(path, text, Entry)
 
 
-def _parsed(path: Path, text: str, kind: type) -> list:  # type: ignore[type-arg]
+def _parsed(path: Path, text: str, kind: type[_Line]) -> list[_Line]:
     """Return the lines of a CSV file as objects of a dataclass of texts and numbers."""
     names = [each.name for each in fields(kind)]
-    kinds = {"str": str, "int": int, "float": float}
+    kinds: dict[str, Callable[[str], Any]] = {"str": str, "int": int, "float": float}
     parse = [kinds[str(each.type)] for each in fields(kind)]
     header, *lines = list(csv.reader(io.StringIO(text))) or [[]]
     if header != names:
@@ -307,7 +314,7 @@ def add_results(folders: Sequence[Path], out: Path) -> list[Entry]:
     out.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([each.name for each in fields(LeaderboardEpisode)])
+    writer.writerow(_NAMES)
     writer.writerows(astuple(episode) for episode in episodes)
     with replacing(out / EPISODES) as aside:
         aside.write_bytes(gzip.compress(text.getvalue().encode("utf-8"), mtime=0))
