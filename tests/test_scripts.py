@@ -36,6 +36,7 @@ EXAMPLES = [
         "make_jaco_assets",
         "measure_maps",
         "particle_figures",
+        "run_notebook",
         "speed_costs",
         "speed_env",
         "svgd_settings",
