@@ -1,4 +1,4 @@
-"""A Sphinx extension: the directive ``leaderboard``, the table of what methods have achieved."""
+"""A Sphinx extension: the directive ``leaderboard``, tables of what methods have achieved."""
 
 from __future__ import annotations
 
@@ -31,27 +31,24 @@ def _cell(entry: Entry) -> str:
     return cell.name.replace("_", ", ")
 
 
-def rows(entries: Sequence[Entry]) -> list[Sequence[Any]]:
-    """Return the rows of the table, its head first; cell and scenes are named once."""
-    table: list[Sequence[Any]] = [
-        ("Cell", "Scenes", "Method", "Solved", "Success, %", "Planning, s", "Code")
-    ]
+def lines(entries: Sequence[Entry]) -> list[str]:
+    """Return the tables in Markdown, one for each cell and its scenes."""
+    text: list[str] = []
     for (cell, scenes), group in groupby(entries, lambda entry: (_cell(entry), _scenes(entry))):
-        for number, entry in enumerate(group):
+        table: list[Sequence[Any]] = [("Method", "Solved", "Success, %", "Planning, s", "Code")]
+        for entry in group:
             again = f", anew every {entry.replan_every}" if entry.replan_every else ""
             rate, low, high = (f"{100 * x:.0f}" for x in (entry.rate, entry.low, entry.high))
-            table.append(
-                (
-                    "" if number else cell,
-                    "" if number else scenes,
-                    f"`{entry.method}`{again}",
-                    f"{entry.successes} of {entry.n}",
-                    f"{rate} ({low}–{high})",
-                    f"{entry.planning_time:.2f}",
-                    f"`{entry.code[:8]}`",
-                )
+            row = (
+                f"`{entry.method}`{again}",
+                f"{entry.successes} of {entry.n}",
+                f"{rate} ({low}–{high})",
+                f"{entry.planning_time:.2f}",
+                f"`{entry.code[:8]}`",
             )
-    return table
+            table.append(row)
+        text += [f"**{cell}**: {scenes}", "", *markdown(table), ""]
+    return text
 
 
 class Leaderboard(Directive):
@@ -62,8 +59,8 @@ class Leaderboard(Directive):
     def run(self) -> list[nodes.Node]:
         """Return the table, parsed as the Markdown that it is."""
         section = nodes.Element()
-        lines = markdown(rows(read_leaderboard(leaderboard_folder())))
-        self.state.nested_parse(StringList(lines, source=__file__), self.content_offset, section)
+        text = lines(read_leaderboard(leaderboard_folder()))
+        self.state.nested_parse(StringList(text, source=__file__), self.content_offset, section)
         return section.children
 
 
