@@ -67,9 +67,9 @@ _CONTEXT = {
 _LINES, _ARRAYS = "application/jsonlines", "application/x-npz"
 _LICENCE = "https://spdx.org/licenses/MIT.html"
 _CITED = (
-    "@article{yin_stein_movement_primitives, title = {Stein Movement Primitives for Adaptive "
+    "@misc{yin_stein_movement_primitives, title = {Stein Movement Primitives for Adaptive "
     "Multi-Modal Trajectory Generation}, author = {Yin, Zeya and Lai, Tin and Khan, Subhan and "
-    "Jacob, Jayadeep and Li, Yonghui and Ramos, Fabio}}"
+    "Jacob, Jayadeep and Li, Yonghui and Ramos, Fabio}, note = {Preprint}}"
 )
 _ABOUT = (
     "Randomised manipulation tasks of a Kinova JACO arm among obstacles: frozen lists of episodes, "
