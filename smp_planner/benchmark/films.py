@@ -26,7 +26,7 @@ __all__ = ["ActionRecorder", "film", "outcome"]
 
 _SHAPE = (720, 1280)
 _CAPTION_SHARE = 7 / 90
-_CAMERA = {"target": (0.32, 0.0, 0.36), "distance": 1.55}
+_CAMERA = {"target": (0.32, 0.0, 0.36), "distance": 1.65}
 _PLANNED, _PLANNED_WIDTH = (0.96, 0.62, 0.04), 0.009
 _CONTACT, _CONTACT_WIDTH, _CONTACT_RADIUS = (0.77, 0.10, 0.10), 0.006, 0.035
 _GROUND, _INK = "#1f2937", "#f9fafb"

@@ -85,7 +85,7 @@ def test_the_contact_is_where_arm_and_obstacle_meet(
     yaw, pitch = np.deg2rad([62.0, -28.0])
     ahead = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
     right = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    offset = point - ((0.32, 0.0, 0.36) - 1.55 * ahead)
+    offset = point - ((0.32, 0.0, 0.36) - 1.65 * ahead)
     scale = 166 / 2 / np.tan(np.deg2rad(22.5)) / (offset @ ahead)
     place = np.array([160 + scale * offset @ right, 83 - scale * offset @ np.cross(right, ahead)])
     red = _near(frames[-1], (196, 26, 26))
