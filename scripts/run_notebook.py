@@ -10,9 +10,7 @@ import io
 from pathlib import Path
 from typing import Annotated, Any
 
-import nbformat
 import typer
-from nbclient import NotebookClient
 from PIL import Image
 from rich.console import Console
 
@@ -54,6 +52,11 @@ def main(
 
     Example: python scripts/run_notebook.py docs/notebook.ipynb
     """
+    try:
+        import nbformat
+        from nbclient import NotebookClient
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{error}: pip install nbclient ipykernel") from error
     content = nbformat.read(notebook, as_version=4)
     folder = {"metadata": {"path": str(notebook.parent)}}
     NotebookClient(content, timeout=_SECONDS, resources=folder, record_timing=False).execute()
