@@ -14,7 +14,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from smp_gym.arrays import AnyFloatArray, BoolArray, checked_array, checked_count, shown
+from smp_gym.arrays import AnyFloatArray, BoolArray, FloatArray, checked_array, checked_count, shown
 from smp_gym.control import joint_action
 from smp_gym.episode_state import EpisodeState, fingerprint
 from smp_gym.observation import (
@@ -30,6 +30,7 @@ from smp_gym.observation import (
     observation_space,
 )
 from smp_gym.physics.jaco import ACTION_SIZE
+from smp_gym.physics.lines import Line
 from smp_gym.physics.workcell import Workcell
 from smp_gym.physics.world import Camera
 from smp_gym.sampling import CROWDED, sample_scene
@@ -112,6 +113,9 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
     ``seed`` (None for a scene that was handed in without one); ``difficulty``; ``family``;
     DoubleSidedPlacement: ``side``, "left" or "right" where the object was placed, otherwise "";
     with the dense reward also ``previous_achieved_goal``.
+
+    **Pictures** ("rgb_array") show the lines of the attribute ``overlay``, too, none at first:
+    `smp_gym.physics.lines.Line`s, such as a planned path.
 
     Args:
         task: one of `smp_gym.scene.TASKS`.
@@ -201,6 +205,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._succeeded = self._over = False
         self._looked_at: tuple[Obstacle, ...] | None = None
         self._next_frame = 0.0
+        self.overlay: tuple[Line, ...] = ()
 
     # Gymnasium's interface
 
@@ -223,6 +228,12 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         if self._scene is None:
             raise gymnasium.error.ResetNeeded("call reset() before anything else")
         return self._scene
+
+    @property
+    def collision_point(self) -> FloatArray | None:
+        """Where the forbidden contact of the present episode was, (3,) m; None without one."""
+        _ = self.scene
+        return self._cell.collision_point
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -379,7 +390,7 @@ class ManipulationEnv(gymnasium.Env[Observation, NDArray[np.float32]], EzPickle)
         self._check_open()
         _ = self.scene
         if self.render_mode == "rgb_array":
-            lines = self._cell.lines
+            lines = (*self._cell.lines, *self.overlay)
             return self._cell.world.picture(self._camera, self._width, self._height, lines)
         if self.render_mode == "human":
             self._cell.world.show_lines(self._cell.lines)

@@ -29,11 +29,13 @@ class Line:
         points: (M, 3) m.
         color: red, green, blue, each 0 to 1.
         width: share of the picture's height.
+        hidden: whether bodies hide what is behind them.
     """
 
     points: FloatArray
     color: tuple[float, float, float]
     width: float
+    hidden: bool = True
 
 
 def wire_box(position: Sequence[float], size: Sequence[float]) -> FloatArray:
@@ -52,7 +54,7 @@ def wire_box(position: Sequence[float], size: Sequence[float]) -> FloatArray:
 def draw_lines(
     image: NDArray[np.uint8], depth: NDArray[Any], matrix: FloatArray, lines: Sequence[Line]
 ) -> None:
-    """Draw lines into an image where nothing in the depth buffer is nearer.
+    """Draw lines into an image; bodies that are nearer hide them, if they can be hidden.
 
     Args:
         image: (H, W, 4), changed in place.
@@ -83,5 +85,5 @@ def _draw(image: NDArray[np.uint8], depth: NDArray[Any], matrix: FloatArray, lin
             r, c = row + down, column + right
             seen = (r >= 0) & (r < height) & (c >= 0) & (c < width)
             r, c = r[seen], c[seen]
-            front = near[seen] <= depth[r, c] + _DEPTH_SLACK
+            front = near[seen] <= (depth[r, c] + _DEPTH_SLACK if line.hidden else 1.0)
             image[r[front], c[front], :3] = color

@@ -97,6 +97,7 @@ class Workcell:
         manipulated: measured state of the object, or of the pen's tip.
         status: what the task is told.
         collision: names of the two parts of the first forbidden contact, or None.
+        collision_point: (3,) m, where they touched, or None.
         clearance: m, the least distance so far of arm or held object to an obstacle, at most
             `CLEARANCE_LIMIT`.
         time: s since the episode began, at which moving obstacles stand. A step that ends early, at
@@ -152,6 +153,7 @@ class Workcell:
         self._substeps, self._present = 0, scene.obstacles
         self.world.detect_contacts()
         self.collision: Contact | None = None
+        self.collision_point: FloatArray | None = None
         self.clearance = CLEARANCE_LIMIT
         self._pen = manipulated is None
         self._size = np.array(manipulated.size if manipulated else (PEN_RADIUS,) * 3)
@@ -310,6 +312,7 @@ class Workcell:
         forbidden = [pair for pair in contacts if _groups(pair) not in permitted]
         if forbidden and self.collision is None:
             self.collision = min(forbidden)
+            self.collision_point = self.world.contact_point(self.collision)
         return bool(forbidden)
 
     def _touching_object(self) -> frozenset[str]:

@@ -326,6 +326,21 @@ class BulletWorld:
             self._contacts = frozenset(self._pair(*key) for key in touching)
         return self._contacts
 
+    def contact_point(self, contact: Contact) -> FloatArray | None:
+        """Return where two parts touch, (3,) m, the middle of their points of contact.
+
+        None where they do not touch.
+        """
+        points = [
+            (*point[5], *point[6])
+            for point in pybullet.getContactPoints(physicsClientId=self.client)
+            if (point[9] > 0.0 or point[8] < 0.0) and self._pair(*point[1:5]) == contact
+        ]
+        if not points:
+            return None
+        middle: FloatArray = np.array(points).reshape(-1, 3).mean(axis=0)
+        return middle
+
     def clearance(self, names: Iterable[str], others: Iterable[str], limit: float) -> float:
         """Return the least distance between two groups of bodies, m.
 

@@ -25,7 +25,6 @@ from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.geometry.faces import body_faces
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.robot.kinematics import GRASP_CENTER, PEN_TIP, end_effector_pose, link_transforms
-from smp_gym.rollout import FrameRecorder
 from smp_gym.scene import Obstacle, Scene, fixtures
 from smp_planner.benchmark.camera import Camera, Painter
 from smp_planner.benchmark.episodes import (
@@ -35,6 +34,7 @@ from smp_planner.benchmark.episodes import (
     environment_id,
     play_episode,
 )
+from smp_planner.benchmark.films import ActionRecorder, film
 
 __all__ = [
     "SceneLine",
@@ -42,6 +42,7 @@ __all__ = [
     "draw_episode",
     "object_paths",
     "paint_scene",
+    "planned_path",
     "scene_figure",
     "write_video",
 ]
@@ -309,6 +310,14 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: Path) -> None:
             raise FileNotFoundError(errno.ENOENT, str(error), "ffmpeg") from error
 
 
+def planned_path(played: PlayedEpisode) -> FloatArray | None:
+    """Return the path (T, 3) m of the chosen particle, of object or pen; None without a plan."""
+    if played.plan is None:
+        return None
+    chosen = played.plan.trajectories[played.plan.chosen]
+    return object_paths(chosen, carried_point(played.scene))
+
+
 def draw_episode(
     player: PlayMethods, key: EpisodeKey, folder: Path, figure: bool, video: bool
 ) -> list[Path]:
@@ -324,12 +333,8 @@ def draw_episode(
     Returns:
         The files that were written.
     """
-    env = gym.make(
-        environment_id(key.task),
-        **key.cell.make_arguments(),
-        render_mode="rgb_array" if video else None,
-    )
-    recorder = FrameRecorder()
+    env = gym.make(environment_id(key.task), **key.cell.make_arguments())
+    recorder = ActionRecorder()
     try:
         played = play_episode(key, env, player.policy(key), (recorder,), player.lists)
     finally:
@@ -340,5 +345,5 @@ def draw_episode(
         scene_figure(played, written[-1])
     if video:
         written.append(folder / f"episode_{key.cell.name}_{key.method}.mp4")
-        write_video(recorder.frames, written[-1])
+        write_video(film(played, recorder.actions, planned_path(played)), written[-1])
     return written

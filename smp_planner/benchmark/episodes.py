@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,6 +35,7 @@ __all__ = [
     "EpisodeRow",
     "PlayMethods",
     "PlayedEpisode",
+    "contact_in_words",
     "environment_id",
     "play_episode",
 ]
@@ -217,6 +219,11 @@ class PlayedEpisode:
     scene: Scene
     plan: Plan | None
     object_path: NDArray[np.float64]
+
+
+def contact_in_words(contact: str) -> str:
+    """Return a pair of parts without the name of the arm's model and with spaces."""
+    return re.sub(r"\bj2s6s200_|\blink_(?=finger)", "", contact).replace("_", " ")
 
 
 def _goal_error(decoded: DecodedObservation) -> float:

@@ -30,6 +30,8 @@ __all__ = [
 
 _PACKAGES = ("smp-gym", "gymnasium", "numba", "numpy", "pybullet", "scipy", "torch")
 _SOURCES = ("smp_gym", "smp_planner", "envs_assets")
+# What is derived from results and data decides no row.
+_DERIVED = ("results/", "croissant.json")
 _SOURCE_SUFFIXES = (".py", ".json", ".npz", ".urdf", ".obj", ".safetensors", ".gz")
 
 
@@ -135,13 +137,19 @@ def versions() -> dict[str, str]:
 
 
 def code_digest() -> str:
-    """Return a digest of all source and data files of the three packages."""
+    """Return a digest of all source and data files of the three packages.
+
+    The leaderboard and the data card, derived from other files, are left out.
+    """
     digest = hashlib.sha256()
     for package in _SOURCES:
         root = Path(str(resources.files(package)))
         for path in sorted(root.rglob("*")):
+            name = path.relative_to(root).as_posix()
+            if name.startswith(_DERIVED):
+                continue
             if path.suffix in _SOURCE_SUFFIXES and path.is_file():
-                digest.update(f"{package}/{path.relative_to(root).as_posix()}\0".encode())
+                digest.update(f"{package}/{name}\0".encode())
                 digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
 

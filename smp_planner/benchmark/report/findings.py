@@ -20,7 +20,7 @@ from smp_planner.benchmark.aggregates import (
     interquartile_mean,
     performance_profile,
 )
-from smp_planner.benchmark.episodes import EpisodeRow
+from smp_planner.benchmark.episodes import EpisodeRow, contact_in_words
 from smp_planner.benchmark.joined_results import (
     Episode,
     JoinedResults,
@@ -48,7 +48,6 @@ __all__ = [
     "Pair",
     "Profiles",
     "cell_title",
-    "contact_in_words",
     "find",
     "replay_command",
 ]
@@ -394,11 +393,6 @@ def _failures(results: JoinedResults, method: str) -> list[Failure]:
         for episode, row in results.rows[method].items()
         if not row.success
     ]
-
-
-def contact_in_words(contact: str) -> str:
-    """Return a pair of parts without the name of the arm's model and with spaces."""
-    return re.sub(r"\bj2s6s200_|\blink_(?=finger)", "", contact).replace("_", " ")
 
 
 def _kinds_of_contact(contact: str) -> str:

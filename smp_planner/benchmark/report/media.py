@@ -16,14 +16,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from smp_gym.observation import CONTROL_PERIOD
-from smp_gym.rollout import FrameRecorder
 from smp_gym.suites import Cell
 from smp_planner.benchmark.episode_pictures import (
     SceneLine,
     carried_point,
     object_paths,
     paint_scene,
+    planned_path,
     write_video,
 )
 from smp_planner.benchmark.episodes import (
@@ -34,9 +33,10 @@ from smp_planner.benchmark.episodes import (
     environment_id,
     play_episode,
 )
+from smp_planner.benchmark.films import ActionRecorder, film, outcome
 from smp_planner.benchmark.joined_results import Episode, JoinedResults
 from smp_planner.benchmark.manifest import code_digest
-from smp_planner.benchmark.report.findings import Findings, cell_title, contact_in_words
+from smp_planner.benchmark.report.findings import Findings, cell_title
 from smp_planner.benchmark.report.page import Media, Picture
 from smp_planner.benchmark.worker_pool import workers
 from smp_planner.planning.plan import Plan
@@ -49,7 +49,7 @@ _CLASSES = ("#2f6db5", "#2e8b57", "#8e4fa8", "#1b9aaa", "#b8860b", "#c2557a")
 _OTHER_CLASS, _NOT_GOOD, _EXECUTED = "#7d8590", "#c9ccd1", "#f59e0b"
 _INCHES, _DOTS = (5.4, 5.0), 130
 _QUALITY = 82
-_BORDER, _RED = 8, (196, 43, 43)
+_FILM_HEIGHT = 360
 
 
 @dataclass(frozen=True)
@@ -139,27 +139,16 @@ def _shot(results: JoinedResults, method: str, episode: Episode, filmed: bool) -
 def take(shot: Shot) -> Picture:
     """Return the picture or the video of an episode, played in this process."""
     key = shot.key
-    env = gym.make(
-        environment_id(key.task),
-        **key.cell.make_arguments(),
-        render_mode="rgb_array" if shot.filmed else None,
-    )
-    recorder = FrameRecorder()
+    env = gym.make(environment_id(key.task), **key.cell.make_arguments())
+    recorder = ActionRecorder()
     try:
         played = play_episode(key, env, shot.player.policy(key), (recorder,), shot.player.lists)
     finally:
         env.close()
     if shot.filmed:
-        return _video(shot.method, played.row, recorder.frames)
+        frames = film(played, recorder.actions, planned_path(played), _FILM_HEIGHT)
+        return _video(shot.method, played.row, frames)
     return _picture(shot.method, played)
-
-
-def _outcome(row: EpisodeRow) -> str:
-    seconds = f"{row.steps * CONTROL_PERIOD:.1f} s"
-    if row.success:
-        return f"success after {seconds}"
-    contact = f", {contact_in_words(row.contact)}" if row.contact else ""
-    return f"{row.cause or 'unfinished'}{contact}, after {seconds}"
 
 
 def _proposed(played: PlayedEpisode) -> tuple[list[SceneLine], str]:
@@ -181,7 +170,7 @@ def _proposed(played: PlayedEpisode) -> tuple[list[SceneLine], str]:
 
 def _picture(method: str, played: PlayedEpisode) -> Picture:
     lines, proposed = _proposed(played)
-    caption = f"{proposed}; {_outcome(played.row)}"
+    caption = f"{proposed}; {outcome(played.row)}"
     figure = Figure(figsize=_INCHES, dpi=_DOTS, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     paint_scene(figure.add_axes((0.0, 0.0, 1.0, 1.0)), played.scene, lines)
@@ -200,25 +189,14 @@ def _picture(method: str, played: PlayedEpisode) -> Picture:
 
 def _video(method: str, row: EpisodeRow, frames: Sequence[NDArray[np.uint8]]) -> Picture:
     title = _episode_title(Episode(row.key.cell, row.half, row.seed))
-    caption = f"{title}: {_outcome(row)}"
-    shown = list(frames)
-    if not row.success:
-        shown[-1] = _framed(shown[-1])
+    caption = f"{title}: {outcome(row)}"
     with TemporaryDirectory() as folder:
         path = Path(folder) / "episode.mp4"
-        write_video(shown, path)
+        write_video(frames, path)
         content = path.read_bytes()
-    height, width = shown[0].shape[:2]
+    height, width = frames[0].shape[:2]
     source = _uri("video/mp4", content)
     return Picture(method, source, width, height, caption, f"Video of {method} on {caption}.")
-
-
-def _framed(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture with a red border."""
-    framed = picture.copy()
-    for side in (np.s_[:_BORDER], np.s_[-_BORDER:], np.s_[:, :_BORDER], np.s_[:, -_BORDER:]):
-        framed[side] = _RED
-    return framed
 
 
 def _uri(kind: str, content: bytes) -> str:

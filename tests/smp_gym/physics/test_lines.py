@@ -51,6 +51,8 @@ def test_lines_are_drawn_where_no_body_hides_them(world):
         assert shown[50, 60] == seen
         assert not shown[:40].any()
         assert not shown[60:].any()
+        unhidden = Line(line.points, BLUE, 0.02, hidden=False)
+        assert blue(world.picture(camera, 120, 100, (unhidden,)))[50, 60]
     assert not blue(world.picture(camera, 120, 100, (Line(np.zeros((1, 3)), BLUE, 0.02),))).any()
 
 

@@ -59,6 +59,17 @@ def test_a_resting_body_touches_what_it_rests_on_and_nothing_near(world):
     assert world.contacts() == {("block", "table")}
 
 
+def test_a_contact_is_where_bodies_touch(world):
+    world.add_body("floor", [box(1.0, 1.0, 0.1, position=(0.0, 0.0, -0.1))], color=GREY)
+    ball = Obstacle(shape="sphere", position=ORIGIN, size=(0.1, 0.1, 0.1))
+    world.add_body("ball", [ball], color=GREY, mass=1.0, position=(0.3, -0.2, 0.098))
+    world.detect_contacts()
+    (contact,) = world.contacts()
+    # The ball reaches 2 mm into the floor, right below its centre.
+    np.testing.assert_allclose(world.contact_point(contact), (0.3, -0.2, -0.001), atol=1.1e-3)
+    assert world.contact_point(("ball", "wall")) is None
+
+
 def test_an_overlap_is_a_contact_without_any_step(world):
     world.add_body("a", [box(0.1, 0.1, 0.1)], color=GREY, mass=1.0)
     world.add_body("b", [box(0.1, 0.1, 0.1)], color=GREY, position=(0.19, 0.0, 0.0))
