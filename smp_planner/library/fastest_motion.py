@@ -29,6 +29,9 @@ there are few samples."""
 _LEAST_GRID = 200
 """Points of the whole grid at least: where a motion begins and ends, its speed bends sharply."""
 
+_END_GRID = np.linspace(0.0, 1.0, 6)[1:-1] ** 3
+"""Further points in the first and in the last interval of the grid, as shares of it."""
+
 _FASTEST = 1e4
 """Speed along the path, rad/s, in place of one without limit."""
 
@@ -113,7 +116,10 @@ def fastest_motion(
 def _grid(path: JointPath) -> FloatArray:
     intervals = len(path.knots) - 1
     points = max(_GRID, -(-_LEAST_GRID // intervals)) * intervals + 1
-    return np.interp(np.linspace(0.0, intervals, points), np.arange(intervals + 1), path.knots)
+    grid = np.interp(np.linspace(0.0, intervals, points), np.arange(intervals + 1), path.knots)
+    # From rest, speed rises fast with length.
+    first, last = grid[1] * _END_GRID, path.length - (path.length - grid[-2]) * _END_GRID
+    return np.sort(np.concatenate([grid, first, last]))
 
 
 def _slower(

@@ -49,6 +49,10 @@ class JointPath:
         self.samples = path[kept]
         self.knots = length[kept]
         self.phases = np.array(kept) / (len(path) - 1)
+        rising = np.append(True, np.diff(length) > 0.0)
+        # Where it ends standing still, its last samples are one, at the phase of the end.
+        self._demonstrated = length[rising], np.flatnonzero(rising) / (len(path) - 1)
+        self._demonstrated[1][-1] = 1.0
         self.spline = CubicSpline(self.knots, self.samples)
 
     @property
@@ -58,11 +62,11 @@ class JointPath:
 
     def phase(self, lengths: FloatArray) -> FloatArray:
         """Return the phase at lengths."""
-        return np.asarray(np.interp(lengths, self.knots, self.phases))
+        return np.asarray(np.interp(lengths, *self._demonstrated))
 
     def demonstrated_speed(self, lengths: FloatArray, duration: float) -> FloatArray:
         """Return the speed along the path, rad/s, if its phase rose evenly in a duration, s."""
-        slope = PchipInterpolator(self.knots, self.phases)(lengths, 1)
+        slope = PchipInterpolator(*self._demonstrated)(lengths, 1)
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / (duration * slope))
 

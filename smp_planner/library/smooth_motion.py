@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.interpolate import BSpline, CubicHermiteSpline, PPoly
+from scipy.interpolate import BPoly, BSpline, PPoly
 from scipy.optimize import brentq, linprog
 
 from smp_gym.arrays import FloatArray
@@ -33,7 +33,7 @@ __all__ = ["SmoothMotion", "smooth_motion"]
 _RAMP = 0.3
 """Share of τ in which the rise s(τ) gains its speed from rest; y makes of it what is fast."""
 
-_PIECES = (60, 200)
+_PIECES = (120, 200)
 """Least and greatest number of pieces of the spline y; between them, three for four samples."""
 
 _CHECKS = 3
@@ -74,7 +74,10 @@ class SmoothMotion:
         points, weights = _gauss(nodes)
         spent = weights * squared_rate(points) ** -0.5
         times = np.append(0.0, np.cumsum(spent.reshape(len(nodes) - 1, -1).sum(axis=1)))
-        self._parameter = CubicHermiteSpline(times, nodes, np.sqrt(squared_rate(nodes)))
+        y, y1, y2 = (squared_rate(nodes, order) for order in range(3))
+        derivatives = np.stack([nodes, np.sqrt(y), 0.5 * y1, 0.5 * y2 * np.sqrt(y)], axis=1)
+        # Positions must be as smooth as the derivatives that are computed beside them.
+        self._parameter = BPoly.from_derivatives(times, derivatives)
         self.duration = float(times[-1])
 
     def progress(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

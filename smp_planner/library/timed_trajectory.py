@@ -26,11 +26,8 @@ from smp_planner.library.timing_settings import TimingSettings
 
 __all__ = ["Event", "TimedTrajectory", "timed"]
 
-_DENSE = 10
-"""Times between two samples in time at which limits are checked, too."""
-
-_LEAST_DENSE = 5000
-"""Times at which limits are checked at least."""
+_LEAST_CHECKS = 20_000
+"""Times at which limits are checked at least; as many as there are samples, if these are more."""
 
 _ROUNDING = 1e-9
 """Share of a duration by which it may be missed."""
@@ -245,12 +242,12 @@ def _within_limits(
     share = 1.0
     for _ in range(_ATTEMPTS):
         motion = find(path, limits.slower(share), lasting)
-        count = max(_LEAST_DENSE, _DENSE * _samples(motion.duration, settings.rate))
+        count = max(_LEAST_CHECKS, _samples(motion.duration, settings.rate))
         exceeded = limits.exceeded(path, motion, np.linspace(0.0, motion.duration, count))
         if exceeded <= (1.0 if resting else 1.0 + 1e-9):
             return motion, _whole(motion.duration, settings)
         if resting and limits.jerk is not None:
-            return motion, _whole(motion.duration * exceeded * (1.0 + 1e-9), settings)
+            return motion, _whole(motion.duration * exceeded * (1.0 + 1e-6), settings)
         share /= exceeded * (1.0 + 1e-6)
     raise ValueError("path has no motion within the limits: it bends too sharply")
 
@@ -259,7 +256,7 @@ def _events(
     path: JointPath, motion: Motion, longer: float, settings: TimingSettings
 ) -> tuple[Event, ...]:
     """Return where signals switch, in the order of time."""
-    count = max(_LEAST_DENSE, _DENSE * _samples(motion.duration, settings.rate))
+    count = max(_LEAST_CHECKS, _samples(motion.duration, settings.rate))
     times = np.linspace(0.0, motion.duration, count)
     phases = path.phase(motion.progress(times)[0])
     events = []
