@@ -55,7 +55,7 @@ _STEPS = 60
 _ENOUGH = 1e-3
 """Share of the duration: where a step gains less, the search ends."""
 
-_NODES = 8
+_NODES = 4
 """Parts of each piece of y between which time is known."""
 
 
