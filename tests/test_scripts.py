@@ -33,6 +33,7 @@ EXAMPLES = [
         "make_benchmark",
         "make_jaco_assets",
         "measure_maps",
+        "motion_durations",
         "particle_figures",
         "speed_costs",
         "speed_env",

@@ -248,7 +248,7 @@ def _within_limits(
             return motion, _whole(motion.duration, settings)
         if resting and limits.jerk is not None:
             return motion, _whole(motion.duration * exceeded * (1.0 + 1e-6), settings)
-        share /= exceeded * (1.0 + 1e-6)
+        share /= exceeded * (1.0 + (1e-6 if limits.jerk is None else 1e-3))
     raise ValueError("path has no motion within the limits: it bends too sharply")
 
 
