@@ -108,7 +108,7 @@ def least_of_one_profile(
     at = np.linspace(0.0, path.length, 20 * len(path.knots))
     first, second, third = (np.abs(path.spline(at, order)) for order in (1, 2, 3))
     best = np.inf
-    fastest = (velocity / first.max(axis=0)).min()
+    fastest = 1.0 / (first.max(axis=0) / velocity).max()
     for v in fastest * _SHARES:
         greatest = ((acceleration - second * v**2) / np.maximum(first, 1e-9)).min()
         if greatest <= 0.0:
