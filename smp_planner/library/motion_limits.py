@@ -51,10 +51,15 @@ class MotionLimits:
         """Whether a motion that is uniformly slower keeps all that this one keeps."""
         return self.start_speed == 0.0 and self.end_speed == 0.0
 
-    def slower(self, share: float) -> MotionLimits:
-        """Return limits that a motion keeps if it is slower by a share, but for the ends."""
+    def slower(self, share: float, velocity_share: float | None = None) -> MotionLimits:
+        """Return limits that a motion keeps if it is slower by a share, but for the ends.
+
+        Args:
+            share: of the speed.
+            velocity_share: of the limits of velocity, if it is another.
+        """
         return MotionLimits(
-            share * self.velocity,
+            (share if velocity_share is None else velocity_share) * self.velocity,
             share**2 * self.acceleration,
             None if self.jerk is None else share**3 * self.jerk,
             self.start_speed,
@@ -70,16 +75,16 @@ class MotionLimits:
             most = np.minimum(most, path.demonstrated_speed(lengths, self.pace))
         return np.asarray(most)
 
-    def exceeded(self, path: JointPath, motion: Motion, times: FloatArray) -> float:
-        """Return how many times slower a motion must be to keep the limits at times (N,) s."""
+    def exceeded(self, path: JointPath, motion: Motion, times: FloatArray) -> tuple[float, float]:
+        """Return how many times slower a motion must be to keep the limits at times (N,) s.
+
+        Those of velocity, and the others.
+        """
         _, velocity, acceleration, jerk = path.moved(*motion.progress(times))
-        factors = [
-            (np.abs(velocity) / self.velocity).max(),
-            np.sqrt((np.abs(acceleration) / self.acceleration).max()),
-        ]
+        other = np.sqrt((np.abs(acceleration) / self.acceleration).max())
         if self.jerk is not None:
-            factors.append(np.cbrt((np.abs(jerk) / self.jerk).max()))
-        return float(max(factors))
+            other = max(other, np.cbrt((np.abs(jerk) / self.jerk).max()))
+        return float((np.abs(velocity) / self.velocity).max()), float(other)
 
 
 def refused_speeds(

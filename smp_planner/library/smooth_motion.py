@@ -1,7 +1,7 @@
 """A fast motion along a path within limits of velocity, acceleration and jerk.
 
-The progress along the path is s(τ(t)): a rise s(τ) that begins and ends as t³ does, and the squared
-rate y(τ) = (dτ/dt)², a cubic spline with positive coefficients. For the joints' path p(τ),
+The progress along the path is s(τ(t)): a rise s(τ) that begins from rest as τ³ does, and the
+squared rate y(τ) = (dτ/dt)², a cubic spline with positive coefficients. For the joints' path p(τ),
 
     velocity      p' √y
     acceleration  p'' y + p' y' / 2
@@ -31,12 +31,12 @@ from smp_planner.library.motion_limits import MotionLimits, refused_speeds, too_
 __all__ = ["SmoothMotion", "smooth_motion"]
 
 _RAMP = 0.3
-"""Share of τ in which the rise s(τ) gains its speed from rest; y makes of it what is fast."""
+"""Share of τ in which the rise s(τ) gains its speed, and loses it; y makes of it what is fast."""
 
 _PIECES = (120, 200)
 """Least and greatest number of pieces of the spline y; between them, three for four samples."""
 
-_CHECKS = 3
+_CHECKS = 5
 """Checks of the limits in each of its pieces."""
 
 _KNOT_CHECKS = (1e-3, 0.5, 1.0 - 1e-3)
@@ -122,7 +122,9 @@ class _Programs:
         self._path, self._limits = path, limits
         least, most = _PIECES
         pieces = int(np.clip(0.75 * len(path.knots), least, most))
-        self._rise = _rise(path.length, limits.start_speed == 0.0, limits.end_speed == 0.0)
+        at = np.linspace(0.0, path.length, 1000)
+        typical = 1.0 / np.mean(1.0 / limits.greatest_speed(path, at))
+        self._rise = _rise(path.length, limits.start_speed / typical, limits.end_speed / typical)
         self._knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, pieces + 1), np.ones(3)])
         basis = BSpline(self._knots, np.eye(pieces + 3), 3)
         at = self._checks(pieces)
@@ -307,16 +309,18 @@ class _Programs:
             working |= exceeded
 
 
-def _rise(length: float, from_rest: bool, to_rest: bool) -> PPoly:
-    """Return s(τ), with speed and its first derivative 0 where it begins or ends at rest."""
-    r = _RAMP
-    gaining = [3.0 / r**4, -8.0 / r**3, 6.0 / r**2, 0.0, 0.0]
-    even = [0.0, 0.0, 0.0, 0.0, 1.0]
-    losing = [3.0 / r**4, -4.0 / r**3, 0.0, 0.0, 1.0]
-    parts = [(r, gaining)] * from_rest + [(1.0 - r if to_rest else 1.0, even)]
-    parts += [(1.0, losing)] * to_rest
-    ends = [0.0, *(end for end, _ in parts)]
-    rise = PPoly(np.array([part for _, part in parts]).T, ends).antiderivative()
+def _rise(length: float, start: float, end: float) -> PPoly:
+    """Return s(τ), whose speed begins and ends with these shares of that in the middle, at most 1.
+
+    Its second derivative is 0 there.
+    """
+    r, start, end = _RAMP, min(start, 1.0), min(end, 1.0)
+    gaining = (1.0 - start) * np.array([3.0 / r**4, -8.0 / r**3, 6.0 / r**2, 0.0, 0.0])
+    losing = (1.0 - end) * np.array([3.0 / r**4, -4.0 / r**3, 0.0, 0.0, 1.0])
+    parts = np.stack([gaining, np.zeros(5), losing], axis=1)
+    parts[-1] += [start, 1.0, end]
+    ends = np.array([0.0, r, 1.0 - r, 1.0])
+    rise = PPoly(parts, ends).antiderivative()
     return PPoly(rise.c * (length / rise(1.0)), ends)
 
 

@@ -239,16 +239,20 @@ def _within_limits(
     find: Callable[..., Motion] = fastest_motion if limits.jerk is None else smooth_motion
     resting = limits.from_rest_to_rest
     lasting = None if resting else lambda takes: _whole(takes, settings)
-    share = 1.0
+    share = velocity_share = 1.0
     for _ in range(_ATTEMPTS):
-        motion = find(path, limits.slower(share), lasting)
+        motion = find(path, limits.slower(share, velocity_share), lasting)
         count = max(_LEAST_CHECKS, _samples(motion.duration, settings.rate))
-        exceeded = limits.exceeded(path, motion, np.linspace(0.0, motion.duration, count))
+        velocity, other = limits.exceeded(path, motion, np.linspace(0.0, motion.duration, count))
+        exceeded = max(velocity, other)
         if exceeded <= (1.0 if resting else 1.0 + 1e-9):
             return motion, _whole(motion.duration, settings)
         if resting and limits.jerk is not None:
             return motion, _whole(motion.duration * exceeded * (1.0 + 1e-6), settings)
-        share /= exceeded * (1.0 + (1e-6 if limits.jerk is None else 1e-3))
+        # A velocity at an end may be near its limit, so this one is lowered no further than needed.
+        velocity_share /= max(velocity, 1.0) * (1.0 + 1e-9)
+        if other > 1.0:
+            share /= other * (1.0 + (1e-6 if resting else 1e-4 if limits.jerk is None else 1e-3))
     raise ValueError("path has no motion within the limits: it bends too sharply")
 
 
