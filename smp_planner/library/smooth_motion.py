@@ -123,7 +123,7 @@ class _Programs:
         least, most = _PIECES
         pieces = int(np.clip(0.75 * len(path.knots), least, most))
         at = np.linspace(0.0, path.length, 1000)
-        typical = 1.0 / np.mean(1.0 / limits.greatest_speed(path, at))
+        typical = float(1.0 / np.mean(1.0 / limits.greatest_speed(path, at)))
         self._rise = _rise(path.length, limits.start_speed / typical, limits.end_speed / typical)
         self._knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, pieces + 1), np.ones(3)])
         basis = BSpline(self._knots, np.eye(pieces + 3), 3)
