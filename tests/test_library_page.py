@@ -58,6 +58,13 @@ def test_a_public_robot_moves_clear_of_mesh_and_cloud_within_its_limits(
     assert (positions <= np.array(upper) + 1e-6).all()
     assert (np.abs(velocity) <= np.array(fastest) * 1.001).all()
     assert (np.abs(acceleration) <= 3.0 * 1.01).all()
+    assert (np.abs(np.diff(acceleration, axis=0)) / 0.01 <= 30.0 * 1.01).all()
+    # As long as the recordings, whose gripper closes a little after the middle.
+    assert 4.0 <= times[-1] <= 4.4
+    gripper = table[:, header.index("signal:gripper")]
+    np.testing.assert_array_equal(gripper, times >= names["closing"].time)
+    share = names["closing"].time / times[-1]
+    assert share == pytest.approx(0.5 + names["bends"][:, 0].mean() / 4.0, abs=0.03)
     duck = pybullet.createMultiBody(
         0,
         pybullet.createCollisionShape(

@@ -35,6 +35,7 @@ EXAMPLES = [
         "make_benchmark",
         "make_jaco_assets",
         "measure_maps",
+        "motion_durations",
         "particle_figures",
         "run_notebook",
         "speed_costs",

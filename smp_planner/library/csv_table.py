@@ -7,6 +7,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from smp_gym.arrays import FloatArray, shown
 from smp_gym.untrusted_files import read_file
 
-__all__ = ["read_csv"]
+__all__ = ["Recording", "read_csv"]
 
 _DEMONSTRATION = "demonstration"
 _TIMES = ("time", "timestamp")
@@ -34,13 +35,31 @@ _BYTE_ORDER_MARKS = (
 _DELIMITERS = ",;\t"
 
 
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A demonstration, and what was recorded beside its coordinates.
+
+    Attributes:
+        path: (T, D) at equal steps of phase.
+        duration: in the unit of the times; None where there were none.
+        phases: (T,) of the samples of the signals, from 0 to 1; None for equal steps.
+        signals: (T,) by name.
+    """
+
+    path: FloatArray
+    duration: float | None = None
+    phases: FloatArray | None = None
+    signals: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
 def read_csv(
     path: Path,
     joints: Sequence[str] | None = None,
+    signals: Sequence[str] = (),
     *,
     nan_is_missing: bool = False,
     one_of_several: bool = False,
-) -> list[FloatArray]:
+) -> list[Recording]:
     """Return the demonstrations of a `.csv` file, in the order in which they first appear.
 
     Its first line names the columns: `demonstration`, which tells rows of different demonstrations
@@ -53,6 +72,7 @@ def read_csv(
         path: of the file.
         joints: names of a robot's joints. Columns of these names are put into their order;
             columns none of which is named like a joint are taken as they stand.
+        signals: names of columns that are no coordinates.
         nan_is_missing: whether an empty entry or NaN is a number that was not measured.
         one_of_several: whether the file is one of several: without a column `demonstration` it then
             holds one.
@@ -63,7 +83,7 @@ def read_csv(
     """
     lines = csv.reader(io.StringIO(_text(path), newline=""), delimiter=",", strict=True)
     try:
-        return _demonstrations(lines, path, joints, nan_is_missing, one_of_several)
+        return _recordings(lines, path, joints, signals, nan_is_missing, one_of_several)
     except csv.Error as error:
         raise ValueError(f"{path}, line {lines.line_num} is no line of a table: {error}") from error
 
@@ -89,9 +109,13 @@ def _text(path: Path) -> str:
 
 
 def _columns(
-    names: Sequence[str], path: Path, joints: Sequence[str] | None, one_of_several: bool
+    names: Sequence[str],
+    path: Path,
+    joints: Sequence[str] | None,
+    signals: Sequence[str],
+    one_of_several: bool,
 ) -> list[int]:
-    """Return the places of the columns demonstration and time (or -1), and of the coordinates."""
+    """Return the places of the columns demonstration and time (or -1), coordinates and signals."""
     where = f"{path}, line 1"
     lowered = [name.lower() for name in names]
     if "" in names and any(names):
@@ -108,6 +132,13 @@ def _columns(
     coordinates = [
         place for place, name in enumerate(lowered) if name != _DEMONSTRATION and place not in times
     ]
+    missing = [name for name in signals if name not in (names[place] for place in coordinates)]
+    if missing:
+        raise ValueError(
+            f"{where} must have a column for each signal, got none for {missing[0]!r} in "
+            f"{', '.join(names)}"
+        )
+    coordinates = [place for place in coordinates if names[place] not in signals]
     labelled = _DEMONSTRATION in lowered
     if not (labelled or one_of_several) or not coordinates:
         raise ValueError(
@@ -125,7 +156,8 @@ def _columns(
             f"it time if it holds times that rise, or give it another name"
         )
     label = lowered.index(_DEMONSTRATION) if labelled else -1
-    return [label, times[0] if times else -1, *coordinates]
+    beside = [names.index(name) for name in signals]
+    return [label, times[0] if times else -1, *coordinates, *beside]
 
 
 def _of_joints(places: Mapping[str, int], joints: Sequence[str], where: str) -> list[int]:
@@ -144,21 +176,23 @@ def _of_joints(places: Mapping[str, int], joints: Sequence[str], where: str) -> 
     other = [name for name in places if name not in joints]
     if other:
         raise ValueError(
-            f"{where} has the column {other[0]!r}, which is none of the joints {', '.join(joints)}"
+            f"{where} has the column {other[0]!r}, which is none of the joints "
+            f"{', '.join(joints)}; signals=[{other[0]!r}] carries it along"
         )
     return [places[joint] for joint in joints]
 
 
-def _demonstrations(
+def _recordings(
     lines: Any,
     path: Path,
     joints: Sequence[str] | None,
+    signals: Sequence[str],
     nan_is_missing: bool,
     one_of_several: bool,
-) -> list[FloatArray]:
+) -> list[Recording]:
     names = [name.strip() for name in next(lines, [])]
-    label, time, *coordinates = _columns(names, path, joints, one_of_several)
-    numbers = coordinates if time < 0 else [time, *coordinates]
+    label, time, *measured = _columns(names, path, joints, signals, one_of_several)
+    numbers = measured if time < 0 else [time, *measured]
     rows: dict[str, list[list[float]]] = {}
     for line in lines:
         if not any(entry.strip() for entry in line):
@@ -168,8 +202,11 @@ def _demonstrations(
             raise ValueError(f"{where} must have {len(names)} entries, got {len(line)}")
         row = []
         for place in numbers:
-            missing = nan_is_missing and place != time
-            row.append(_number(line[place], f"{where}, column {names[place]!r}", missing))
+            entry = f"{where}, column {names[place]!r}"
+            if names[place] in signals:
+                row.append(_number(line[place], entry, None))
+            else:
+                row.append(_number(line[place], entry, nan_is_missing and place != time))
         name = line[label].strip() if label >= 0 else ""
         known = rows.setdefault(name, [])
         if time >= 0 and known and row[0] <= known[-1][0]:
@@ -178,24 +215,38 @@ def _demonstrations(
                 f"must rise, got {line[time].strip()} after {known[-1][0]!r}"
             )
         known.append(row)
-    given = [np.array(samples) for samples in rows.values()]
-    return given if time < 0 else [_evenly(samples) for samples in given]
+    return [_recording(np.array(samples), time >= 0, signals) for samples in rows.values()]
 
 
-def _number(entry: str, where: str, missing: bool) -> float:
+def _number(entry: str, where: str, missing: bool | None) -> float:
+    """Return the number of an entry; None where no option allows that it is missing."""
     entry = entry.strip()
     try:
         number = math.nan if missing and not entry else float(entry.replace("_", " "))
     except ValueError:
         raise ValueError(f"{where} must hold numbers, got {shown(entry)}") from None
     if math.isinf(number) or (math.isnan(number) and not missing):
-        hint = "; nan_is_missing=True takes NaN for what is missing" if math.isnan(number) else ""
+        hint = "; nan_is_missing=True takes NaN for what is missing"
+        hint = hint if math.isnan(number) and missing is not None else ""
         raise ValueError(f"{where} must hold finite numbers, got {entry}{hint}")
     return number
 
 
-def _evenly(samples: FloatArray) -> FloatArray:
-    """Return the coordinates (T, D) of samples (T, 1 + D), interpolated to equal steps of time."""
-    times = samples[:, 0]
+def _recording(samples: FloatArray, is_timed: bool, signals: Sequence[str]) -> Recording:
+    """Return what samples (T, ...) hold: times, if there are some, coordinates, signals."""
+    times = samples[:, 0] if is_timed else None
+    measured = samples[:, 1:] if is_timed else samples
+    path = measured[:, : measured.shape[1] - len(signals)]
+    beside = dict(zip(signals, measured[:, path.shape[1] :].T, strict=True))
+    if times is None:
+        return Recording(path, signals=beside)
+    duration = float(times[-1] - times[0])
+    if len(times) < 2:
+        return Recording(path, signals=beside)
+    return Recording(_evenly(times, path), duration, (times - times[0]) / duration, beside)
+
+
+def _evenly(times: FloatArray, path: FloatArray) -> FloatArray:
+    """Return the coordinates (T, D) at times (T,), interpolated to equal steps of time."""
     even = np.linspace(times[0], times[-1], len(times))
-    return np.stack([np.interp(even, times, column) for column in samples[:, 1:].T], axis=1)
+    return np.stack([np.interp(even, times, column) for column in path.T], axis=1)

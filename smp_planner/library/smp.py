@@ -27,10 +27,11 @@ from smp_planner.library.frame import Frame
 from smp_planner.library.joint_angles import JointAngles, refuse_quaternions, unwrapped
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.overdetermined import refuse_overdetermined
-from smp_planner.library.reading import demonstrations_of
+from smp_planner.library.reading import demonstrations_of, recordings_of
 from smp_planner.library.requests import Request, constraints_of, several
 from smp_planner.library.scene import Scene
 from smp_planner.library.shapes import Circle, PathObstacle, Rectangle, outline
+from smp_planner.library.signals import Recorded
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot
 from smp_planner.movement_primitives import ProMP, ProMPMixture
@@ -66,9 +67,13 @@ class SMP:
         demonstrations: N arrays (T_j, D), at least two, at equal steps of phase.
         settings: how to learn from them.
         robot: of whose joints they are; None for paths in the plane or in space.
+        recorded: what was recorded beside their coordinates; None for nothing.
 
     Attributes:
         demonstrations: what it was learned from; angles of continuous joints are unwrapped.
+        durations: (N,) of the demonstrations, in the unit of their times, s if those are; None if
+            there were no times.
+        signals: by name, what else the demonstrations recorded, as functions of phase.
         settings: how it was learned.
         robot: as above, with the pairs of spheres that must stay clear of each other.
         frame: the normalised coordinates that the primitives live in.
@@ -80,8 +85,12 @@ class SMP:
         demonstrations: Sequence[FloatArray],
         settings: PriorSettings,
         robot: Robot | None = None,
+        recorded: Recorded | None = None,
     ) -> None:
         demonstrations = tuple(demonstrations)
+        self._recorded = Recorded() if recorded is None else recorded
+        self.durations = self._recorded.durations
+        self.signals = self._recorded.signals()
         self.settings = settings
         dimension = demonstrations[0].shape[1]
         self._angles = None
@@ -104,7 +113,15 @@ class SMP:
         self.prior = learn_prior([self.frame.inwards(d) for d in self.demonstrations], settings)
 
     @classmethod
-    def fit(cls, demonstrations: Any, robot: Robot | None = None, **settings: Any) -> SMP:
+    def fit(
+        cls,
+        demonstrations: Any,
+        robot: Robot | None = None,
+        *,
+        signals: Any = (),
+        durations: Any = None,
+        **settings: Any,
+    ) -> SMP:
         """Learn a primitive from demonstrations.
 
         A coordinate that is constant in all of them stays allowed: its variance is the one that is
@@ -115,6 +132,12 @@ class SMP:
                 at equal steps of phase; or a `.npz` or `.csv` file, or a list of such, see
                 `smp_planner.library.reading`.
             robot: of whose joints, rad, they are; None for paths in the plane or in space.
+            signals: names of columns of `.csv` files that are no coordinates, such as the opening
+                of a gripper; or by name N arrays (T_j,). They are no part of what is learned, and
+                go with its plans as functions of phase: what has two values in all demonstrations
+                switches at the mean of the phases at which it does in them, all else is the mean.
+            durations: (N,) s, of the demonstrations; by default those of the times in `.csv` files,
+                if all have them.
             **settings: see `PriorSettings`; `smooth_std` is 0.1 extents by default, and 0.2 rad for
                 a robot.
 
@@ -122,19 +145,26 @@ class SMP:
             FileNotFoundError: no such file.
             ValueError: a file of another kind, fewer than two demonstrations, not all of one
                 dimension or not that of the robot, a number that is not finite, all of them one
-                point, or more modes than there are demonstrations for.
+                point, more modes than there are demonstrations for, or a signal that is missing or
+                switches in one demonstration otherwise than in another.
         """
         smooth_std = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
         learning = PriorSettings(**{"smooth_std": smooth_std, **settings})
         if robot is not None and not isinstance(robot, Robot):
             raise ValueError(f"robot must be a Robot, got {shown(robot)}")
         joints = None if robot is None else robot.joints
-        given = demonstrations_of(demonstrations, joints, nan_is_missing=learning.nan_is_missing)
-        return cls(given, learning, robot)
+        given, recorded = recordings_of(
+            demonstrations,
+            joints,
+            signals,
+            durations,
+            nan_is_missing=learning.nan_is_missing,
+        )
+        return cls(given, learning, robot, recorded)
 
     def save(self, path: str | Path) -> None:
         """Write an `.npz` file without pickled objects, which `load` reads."""
-        write_primitive(path, self.demonstrations, self.settings, self.robot)
+        write_primitive(path, self.demonstrations, self.settings, self.robot, self._recorded)
 
     @classmethod
     def load(cls, path: str | Path) -> SMP:
@@ -144,9 +174,9 @@ class SMP:
             FileNotFoundError: no such file.
             ValueError: it is damaged, is something else, or is of another version.
         """
-        demonstrations, settings, robot = read_primitive(path)
+        demonstrations, settings, robot, recorded = read_primitive(path)
         given = demonstrations_of(demonstrations, nan_is_missing=settings.nan_is_missing)
-        return cls(given, settings, robot)
+        return cls(given, settings, robot, recorded)
 
     def __repr__(self) -> str:
         """Return a short description, without the arrays."""
@@ -265,6 +295,7 @@ class SMP:
             plan,
             trajectories=self.frame.outwards(plan.trajectories),
             clearance=scale * plan.clearance,
+            signals=self.signals,
             missed={name: scale * value for name, value in plan.missed.items()},
             timings=timings,
             display={

@@ -18,6 +18,7 @@ from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.collision.robot_model import RobotModel
+from smp_planner.library.signals import Recorded
 from smp_planner.library.urdf import Robot
 from smp_planner.occupancy.archive import read_archive, write_archive
 from smp_planner.planning.settings import PriorSettings
@@ -34,6 +35,7 @@ def write_primitive(
     demonstrations: Sequence[FloatArray],
     settings: PriorSettings,
     robot: Robot | None,
+    recorded: Recorded,
 ) -> None:
     """Write what a primitive is learned from as an `.npz` without pickled objects."""
     arrays: dict[str, NDArray[Any]] = {
@@ -41,6 +43,13 @@ def write_primitive(
         "lengths": np.array([len(d) for d in demonstrations]),
         "settings": np.array(settings.model_dump_json()),
     }
+    if recorded.durations is not None:
+        arrays["durations"] = recorded.durations
+    if recorded.values:
+        arrays["signals"] = np.array(json.dumps(list(recorded.values)))
+        arrays["signal_phases"] = np.concatenate(recorded.phases)
+        each = [np.concatenate(values) for values in recorded.values.values()]
+        arrays["signal_values"] = np.stack(each)
     if robot is not None:
         arrays["joints"] = np.array(json.dumps(robot.joints))
         arrays["continuous"] = np.array(robot.continuous)
@@ -54,7 +63,7 @@ def write_primitive(
 
 def read_primitive(
     path: str | Path,
-) -> tuple[list[FloatArray], PriorSettings, Robot | None]:
+) -> tuple[list[FloatArray], PriorSettings, Robot | None, Recorded]:
     """Read what `write_primitive` wrote.
 
     Raises:
@@ -68,6 +77,7 @@ def read_primitive(
         if samples.ndim != 2 or not whole or lengths.sum() != len(samples):
             raise ValueError(f"{len(samples)} samples do not have the lengths {lengths}")
         demonstrations = np.split(samples, np.cumsum(lengths)[:-1])
+        recorded = _recorded(arrays, lengths)
         settings = PriorSettings.model_validate_json(str(arrays["settings"]))
         robot = None
         if "joints" in arrays:
@@ -91,7 +101,23 @@ def read_primitive(
             )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
-    return demonstrations, settings, robot
+    return demonstrations, settings, robot, recorded
+
+
+def _recorded(arrays: Mapping[str, NDArray[Any]], lengths: NDArray[Any]) -> Recorded:
+    durations = arrays.get("durations")
+    if durations is not None:
+        durations = checked_array("durations", durations, (len(lengths),))
+    if "signals" not in arrays:
+        return Recorded(durations)
+    names = [str(name) for name in parse_json(str(arrays["signals"]), "signals")]
+    ends, samples = np.cumsum(lengths)[:-1], int(lengths.sum())
+    phases = checked_array("signal_phases", arrays["signal_phases"], (samples,))
+    values = checked_array("signal_values", arrays["signal_values"], (len(names), samples))
+    each = {name: np.split(row, ends) for name, row in zip(names, values, strict=True)}
+    recorded = Recorded(durations, np.split(phases, ends), each)
+    recorded.signals()
+    return recorded
 
 
 def _named(arrays: Mapping[str, NDArray[Any]], field: str) -> dict[str, Any]:

@@ -1,8 +1,7 @@
-"""A robot's trajectory in time: as fast along a path as velocities and accelerations allow.
+"""A robot's trajectory in time: as fast along a path as its limits allow.
 
-A plan says where the joints go, not when. TOPP-RA (Pham and Pham 2018,
-doi:10.1109/TRO.2018.2819195; the package `toppra`) finds the fastest motion along a path under
-limits of velocity and acceleration, from rest to rest.
+A plan says where the joints go, not when. The path is kept exactly; limits of velocity and
+acceleration alone are those of `fastest_motion`, with jerk those of `smooth_motion`.
 """
 
 from __future__ import annotations
@@ -10,37 +9,52 @@ from __future__ import annotations
 import csv
 import io
 import json
-import logging
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
+from smp_gym.arrays import FloatArray, checked_array, shown
 from smp_gym.atomic_files import write_text
-from smp_gym.optional_packages import require
+from smp_planner.library.fastest_motion import fastest_motion
+from smp_planner.library.joint_path import JointPath
+from smp_planner.library.motion_limits import Motion, MotionLimits
+from smp_planner.library.smooth_motion import smooth_motion
+from smp_planner.library.timing_settings import TimingSettings
 
-__all__ = ["TimedTrajectory", "timed"]
+__all__ = ["Event", "TimedTrajectory", "timed"]
 
-_GRID = 4
-"""Points of the grid of phase, at which limits are kept, in each interval between two samples."""
+_LEAST_CHECKS = 20_000
+"""Times at which limits are checked at least; as many as there are samples, if these are more."""
 
-_DENSE = 10
-"""Times between two samples in time at which limits are checked, too."""
+_ROUNDING = 1e-9
+"""Share of a duration by which it may be missed."""
 
 _ATTEMPTS = 6
-"""How often the motion is worked out with smaller limits, where a limit was exceeded between points
-of the grid."""
+"""How often the motion is worked out with smaller limits, where a limit was exceeded between the
+points at which it is kept."""
 
-_LEAST_STEP = 0.25
-"""Least distance between two samples of a path that are gone through, as a share of the mean one:
-where a movement begins and ends, samples lie so close that their rounding bends the path."""
+
+@dataclass(frozen=True)
+class Event:
+    """A signal that switches.
+
+    Attributes:
+        time: s, from the start of the motion.
+        name: of the signal.
+        value: from then on.
+    """
+
+    time: float
+    name: str
+    value: float
 
 
 @dataclass(frozen=True, eq=False)
 class TimedTrajectory:
-    """A trajectory of n joints at N equal steps of time, from rest to rest.
+    """A trajectory of n joints at N equal steps of time.
 
     Made by `timed`, or `Robot.timed`.
 
@@ -50,6 +64,9 @@ class TimedTrajectory:
         positions: (N, n) rad.
         velocities: (N, n) rad/s.
         accelerations: (N, n) rad/s².
+        phases: (N,) of the path.
+        signals: (N,) by name.
+        events: where signals switch after the start, in the order of time, exact between samples.
     """
 
     joints: tuple[str, ...]
@@ -57,11 +74,15 @@ class TimedTrajectory:
     positions: FloatArray
     velocities: FloatArray
     accelerations: FloatArray
+    phases: FloatArray
+    signals: Mapping[str, FloatArray] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
 
     def __repr__(self) -> str:
         """Return a short description, without the arrays."""
+        signals = f", {', '.join(self.signals)}" if self.signals else ""
         return (
-            f"TimedTrajectory({len(self.joints)} joints, {self.duration:.3f} s, "
+            f"TimedTrajectory({len(self.joints)} joints{signals}, {self.duration:.3f} s, "
             f"{len(self.times)} samples)"
         )
 
@@ -71,7 +92,10 @@ class TimedTrajectory:
         return float(self.times[-1])
 
     def joint_trajectory(self) -> dict[str, Any]:
-        """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`; needs no ROS."""
+        """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`; needs no ROS.
+
+        It holds joints only, no signals.
+        """
         points = []
         rows = zip(self.times, self.positions, self.velocities, self.accelerations, strict=True)
         for time, position, velocity, acceleration in rows:
@@ -95,14 +119,21 @@ class TimedTrajectory:
 
         Args:
             path: ``.csv``: the columns ``time`` and, by joint, its name, ``velocity:`` and
-                ``acceleration:`` followed by its name; ``.json``: `joint_trajectory`.
+                ``acceleration:`` followed by its name, then ``signal:`` followed by that of each
+                signal; ``.json``: `joint_trajectory`, and where there are signals beside it
+                ``signals``, their samples by name, and ``events``, with ``time``, ``name`` and
+                ``value``.
 
         Raises:
             ValueError: another suffix.
         """
         path = Path(path)
         if path.suffix == ".json":
-            write_text(path, json.dumps(self.joint_trajectory(), indent=1) + "\n")
+            content = self.joint_trajectory()
+            if self.signals:
+                content["signals"] = {name: each.tolist() for name, each in self.signals.items()}
+                content["events"] = [vars(event) for event in self.events]
+            write_text(path, json.dumps(content, indent=1) + "\n")
         elif path.suffix == ".csv":
             write_text(path, self._csv())
         else:
@@ -112,8 +143,10 @@ class TimedTrajectory:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         kinds = ("", "velocity:", "acceleration:")
-        writer.writerow(["time", *(kind + name for kind in kinds for name in self.joints)])
-        columns = (self.times[:, None], self.positions, self.velocities, self.accelerations)
+        names = [kind + name for kind in kinds for name in self.joints]
+        writer.writerow(["time", *names, *(f"signal:{name}" for name in self.signals)])
+        columns = [self.times[:, None], self.positions, self.velocities, self.accelerations]
+        columns += [signal[:, None] for signal in self.signals.values()]
         # Adding zero turns -0 into 0.
         writer.writerows((np.concatenate(columns, axis=1).round(9) + 0.0).tolist())
         return text.getvalue()
@@ -124,14 +157,13 @@ def timed(
     velocity: FloatArray,
     path: FloatArray,
     acceleration: Any,
-    *,
-    rate: float = 100.0,
-    speed: float = 1.0,
-    duration: float | None = None,
+    settings: TimingSettings,
 ) -> TimedTrajectory:
-    """Return the fastest motion along a path, from rest to rest.
+    """Return the fastest motion along a path.
 
-    The path between two samples is that of a cubic spline.
+    The path between two samples is that of a cubic spline, and is kept exactly. Limits are kept
+    between the samples of the motion, too. With a limit of jerk the motion is one that no small
+    change makes faster (`smooth_motion`).
 
     Args:
         joints: (n) their names.
@@ -139,110 +171,102 @@ def timed(
         path: (T, n) rad, T ≥ 2, such as `Plan.best`. Where samples lie much closer than elsewhere,
             some are left out.
         acceleration: rad/s², limit of all joints or of each (n,).
-        rate: samples in a second. Where `duration` is no whole number of them, they stand a little
-            closer, up to the end.
-        speed: share of the limits of velocity, above 0, at most 1; accelerations are limited to
-            its square, so that the motion is the same but slower.
-        duration: s, of the whole motion; by default the shortest that is a whole number of samples.
+        settings: all else.
 
     Raises:
-        ImportError: the package `toppra` is not installed.
-        ValueError: an argument is out of range, all samples are the same, or `duration` is too
-            short; the message says how long it takes.
+        ModuleNotFoundError: the package `toppra` is not installed; with `jerk` it is not needed.
+        ValueError: an argument is out of range, all samples are the same, a velocity at an end is
+            not along the path or beyond what the limits allow, or `duration` is too short, or too
+            long for them; the message says what is allowed.
     """
-    dimension = len(joints)
-    path = checked_array("path", path, (None, dimension))
-    limits = np.asarray(acceleration)
-    limits = checked_array("acceleration", limits, (dimension,) if limits.ndim else ())
-    if not (limits > 0.0).all():
-        raise ValueError(f"acceleration must be above 0, got {shown(acceleration)}")
-    rate = checked_number("rate", rate, above=0.0)
-    speed = checked_number("speed", speed, above=0.0, most=1.0)
-    if len(path) < 2 or not (path != path[0]).any():
-        raise ValueError("path must have at least two samples that differ")
-
-    limits = speed**2 * np.broadcast_to(limits, dimension)
-    motion = _fastest(path, speed * velocity, limits, rate)
-    takes = float(motion.duration)
-    if duration is not None:
-        duration = checked_number("duration", duration, above=0.0)
-        if duration < takes * (1.0 - 1e-9):
-            raise ValueError(
-                f"duration must be at least {takes:.3f} s for this path, got {duration}"
-            )
-    if duration is None:
-        duration = (_samples(takes, rate) - 1) / rate
-    longer = max(duration / takes, 1.0)
-    times = np.linspace(0.0, longer * takes, _samples(longer * takes, rate))
-    at = np.minimum(times / longer, takes)
+    curve = JointPath(path, len(joints))
+    limits = MotionLimits(
+        velocity,
+        _limits("acceleration", acceleration, len(joints)),
+        None if settings.jerk is None else _limits("jerk", settings.jerk, len(joints)),
+        curve.speed("start_velocity", settings.start_velocity, end=False),
+        curve.speed("end_velocity", settings.end_velocity, end=True),
+        settings.pace,
+    ).slower(settings.speed)
+    motion, whole = _within_limits(curve, limits, settings)
+    longer = whole / motion.duration
+    times = np.linspace(0.0, longer * motion.duration, _samples(whole, settings.rate))
+    progress = motion.progress(np.minimum(times / longer, motion.duration))
+    positions, velocities, accelerations, _ = curve.moved(*progress)
+    phases = curve.phase(progress[0])
     return TimedTrajectory(
         joints,
         times,
-        motion(at),
-        motion(at, 1) / longer,
-        motion(at, 2) / longer**2,
+        positions,
+        velocities / longer,
+        accelerations / longer**2,
+        phases,
+        {name: signal(phases) for name, signal in settings.signals.items()},
+        _events(curve, motion, longer, settings),
     )
+
+
+def _limits(name: str, given: Any, dimension: int) -> FloatArray:
+    limits = checked_array(name, given, (dimension,) if np.ndim(given) else ())
+    if not (limits > 0.0).all():
+        raise ValueError(f"{name} must be above 0, got {shown(given)}")
+    return np.array(np.broadcast_to(limits, dimension))
 
 
 def _samples(duration: float, rate: float) -> int:
-    return int(np.ceil(duration * rate - 1e-9)) + 1
+    return int(np.ceil(duration * rate * (1.0 - _ROUNDING))) + 1
 
 
-def _spaced(path: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return samples of a path (K, n) that are not too close, both ends among them.
+def _whole(takes: float, settings: TimingSettings) -> float:
+    """Return how long a motion lasts that can be done in a time, s."""
+    if settings.duration is None:
+        return (_samples(takes, settings.rate) - 1) / settings.rate
+    if settings.duration < takes * (1.0 - _ROUNDING):
+        raise ValueError(
+            f"duration must be at least {takes:.3f} s for this path, got {settings.duration}"
+        )
+    return max(settings.duration, takes)
 
-    And the length of the path up to each of them, (K,) rad.
+
+def _within_limits(
+    path: JointPath, limits: MotionLimits, settings: TimingSettings
+) -> tuple[Motion, float]:
+    """Return a motion, and the duration in which it keeps the limits between all samples, too.
+
+    From rest to rest it may be the longer of the two, for the motion can be stretched. Otherwise
+    that would change its velocities at the ends.
     """
-    length = np.append(0.0, np.cumsum(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1))))
-    least = _LEAST_STEP * length[-1] / (len(path) - 1)
-    kept = [0]
-    for sample in range(1, len(path)):
-        if length[sample] - length[kept[-1]] >= least:
-            kept.append(sample)
-    if length[-1] - length[kept[-1]] > 0.0:
-        # In place of one that is too close to it.
-        kept[1 if len(kept) == 1 else -1 :] = [len(path) - 1]
-    return path[kept], length[kept]
-
-
-def _fastest(path: FloatArray, velocity: FloatArray, acceleration: FloatArray, rate: float) -> Any:
-    """Return a function of time (s) and order of derivative; ``.duration`` is in s."""
-    require("timing", "timing a trajectory")
-    import toppra
-    from toppra.algorithm import TOPPRA
-    from toppra.constraint import (
-        DiscretizationType,
-        JointAccelerationConstraint,
-        JointVelocityConstraint,
-    )
-
-    logging.getLogger("toppra").setLevel(logging.ERROR)
-    path, length = _spaced(path)
-    # Along its length a path nowhere stands still, as it may along the phase.
-    spline = toppra.SplineInterpolator(length, path)
-    samples = np.arange(len(path))
-    grid = np.interp(np.linspace(0.0, samples[-1], _GRID * samples[-1] + 1), samples, length)
-    share = 1.0
+    find: Callable[..., Motion] = fastest_motion if limits.jerk is None else smooth_motion
+    resting = limits.from_rest_to_rest
+    lasting = None if resting else lambda takes: _whole(takes, settings)
+    share = velocity_share = 1.0
     for _ in range(_ATTEMPTS):
-        constraints = [
-            JointVelocityConstraint(share * velocity),
-            JointAccelerationConstraint(
-                share**2 * acceleration,
-                discretization_scheme=DiscretizationType.Interpolation,
-            ),
-        ]
-        instance = TOPPRA(
-            constraints, spline, gridpoints=grid, parametrizer="ParametrizeConstAccel"
-        )
-        motion = instance.compute_trajectory(0.0, 0.0)
-        if motion is None:
-            break
-        dense = np.linspace(0.0, motion.duration, _DENSE * _samples(motion.duration, rate))
-        exceeded = max(
-            (np.abs(motion(dense, 1)) / velocity).max(),
-            np.sqrt((np.abs(motion(dense, 2)) / acceleration).max()),
-        )
-        if exceeded <= 1.0:
-            return motion
-        share /= exceeded * (1.0 + 1e-6)
+        motion = find(path, limits.slower(share, velocity_share), lasting)
+        count = max(_LEAST_CHECKS, _samples(motion.duration, settings.rate))
+        velocity, other = limits.exceeded(path, motion, np.linspace(0.0, motion.duration, count))
+        exceeded = max(velocity, other)
+        if exceeded <= (1.0 if resting else 1.0 + 1e-9):
+            return motion, _whole(motion.duration, settings)
+        if resting and limits.jerk is not None:
+            return motion, _whole(motion.duration * exceeded * (1.0 + 1e-6), settings)
+        # A velocity at an end may be near its limit, so this one is lowered no further than needed.
+        velocity_share /= max(velocity, 1.0) * (1.0 + 1e-9)
+        if other > 1.0:
+            share /= other * (1.0 + (1e-6 if resting else 1e-4 if limits.jerk is None else 1e-3))
     raise ValueError("path has no motion within the limits: it bends too sharply")
+
+
+def _events(
+    path: JointPath, motion: Motion, longer: float, settings: TimingSettings
+) -> tuple[Event, ...]:
+    """Return where signals switch, in the order of time."""
+    count = max(_LEAST_CHECKS, _samples(motion.duration, settings.rate))
+    times = np.linspace(0.0, motion.duration, count)
+    phases = path.phase(motion.progress(times)[0])
+    events = []
+    for name, signal in settings.signals.items():
+        if signal.switches:
+            reached = longer * np.interp(signal.phases[1:], phases, times)
+            for time, value in zip(reached.tolist(), signal.values[1:].tolist(), strict=True):
+                events.append(Event(time, name, value))
+    return tuple(sorted(events, key=lambda event: event.time))

@@ -20,6 +20,7 @@ from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import LIMIT_TOLERANCE
 from smp_planner.library.covering import MOST_SPHERES, cover_link
 from smp_planner.library.timed_trajectory import TimedTrajectory, timed
+from smp_planner.library.timing_settings import TimingSettings
 from smp_planner.library.urdf_reading import Description, Joint, Link, read_description
 
 __all__ = ["Robot"]
@@ -170,24 +171,16 @@ class Robot:
             )
         return np.array([given[name] for name in self.joints])
 
-    def timed(
-        self,
-        path: FloatArray,
-        acceleration: Any,
-        *,
-        rate: float = 100.0,
-        speed: float = 1.0,
-        duration: float | None = None,
-    ) -> TimedTrajectory:
-        """Return the fastest motion along a path; see `timed_trajectory.timed`."""
+    def timed(self, path: FloatArray, acceleration: Any, **settings: Any) -> TimedTrajectory:
+        """Return the fastest motion along a path, see `timed_trajectory.timed`.
+
+        Args:
+            path: (T, n) rad, T ≥ 2, such as `Plan.best`.
+            acceleration: rad/s², limit of all joints or of each (n,).
+            **settings: see `TimingSettings`.
+        """
         return timed(
-            self.joints,
-            self.model.velocity,
-            path,
-            acceleration,
-            rate=rate,
-            speed=speed,
-            duration=duration,
+            self.joints, self.model.velocity, path, acceleration, TimingSettings(**settings)
         )
 
 

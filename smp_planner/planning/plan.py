@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -79,6 +79,7 @@ class Plan:
         tool_paths: (P, T, 3) m, the paths of a robot's tool, where they were asked for.
         standing_free: (P,) as `collision_free`, but for obstacles that move.
         apart: (P,) m, as `clearance`, of obstacles that move alone; None where none does.
+        signals: what demonstrations recorded beside coordinates, as functions of phase, by name.
         state: from which the planner can go on (`smp_planner.planning.replanning`); None if it
             cannot.
     """
@@ -101,6 +102,7 @@ class Plan:
     tool_paths: FloatArray | None = None
     standing_free: BoolArray | None = None
     apart: FloatArray | None = None
+    signals: Mapping[str, Callable[[FloatArray], FloatArray]] = field(default_factory=dict)
     state: Any = None
 
     @classmethod
