@@ -41,9 +41,9 @@ _SIGNATURE_SAMPLES = 50
 cost more time, and class otherwise only what passes close to an edge or through an obstacle."""
 
 
-HOLD = 1.5
+HOLD = 1.2
 """s, for which the arm stays where a trajectory ends: the hand opens, what it held comes to rest.
-Till then nothing that moves may meet it."""
+Till then nothing that moves may meet it; what is later is nothing to the trajectory."""
 
 _HOLD_SAMPLES = 6
 """Samples of that."""

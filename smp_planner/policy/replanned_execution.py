@@ -26,6 +26,7 @@ from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.moving import clearance_in_time, is_moving
+from smp_planner.planning.assessment import HOLD
 from smp_planner.planning.clock import RAMP, Clock
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.forecasting import Looks, forecast_of, surprising
@@ -346,7 +347,10 @@ def _outlook(
     courses = np.stack([_course(pursuit, factor, LOOKAHEAD)[0] for factor in factors])
     courses = np.concatenate([np.full((len(factors), 1), pursuit.phase), courses], axis=1)
     paths = np.stack([at_phases(pursuit.trajectory[None], course)[0] for course in courses])
-    times = np.tile(np.arange(LOOKAHEAD + 1) * CONTROL_PERIOD, (len(factors), 1))
+    steps = np.arange(LOOKAHEAD + 1)
+    # What comes after the arm is done is nothing to it.
+    arrival = np.where((courses >= 1.0).any(axis=1), (courses >= 1.0).argmax(axis=1), LOOKAHEAD)
+    times = np.minimum(steps * CONTROL_PERIOD, arrival[:, None] * CONTROL_PERIOD + HOLD)
     clearance = clearance_in_time(
         paths, times, pursuit.problem.robot, forecast_of(near, turns, settings)
     )

@@ -83,7 +83,7 @@ def test_nothing_that_moves_may_meet_the_arm_where_it_stays_at_the_end(planner, 
     def apart(late, **changed):
         """Return the clearance if the ball is in the hand so many seconds after the end."""
         speed, radius = 0.5, ball.size[0]
-        start = hand + (0.0, 0.0, radius + speed * (arrival + late))
+        start = hand + np.array([0.0, 0.0, radius + speed * (arrival + late)])
         coming = ball.model_copy(
             update={"position": tuple(start.tolist()), "velocity": (0.0, 0.0, -speed)}
         )
