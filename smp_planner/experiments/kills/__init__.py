@@ -1,0 +1,1 @@
+"""Work that is killed at random moments and gone on with, compared with the same undisturbed."""
