@@ -9,6 +9,10 @@ random, of which some stay as good as they were. A death ends this process.
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import json
 import resource
 import signal

@@ -11,6 +11,10 @@ it starts a process, opens a port, writes into the checkout, or has had its time
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import faulthandler
 import io
 import multiprocessing.process

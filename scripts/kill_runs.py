@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script("rl", "dev")
+
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Kills of work at random moments: what it keeps is whole then, and at its end as if undisturbed."""
+"""Kills of work at random moments: whole is what it keeps, and its end as if undisturbed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ import numpy as np
 import psutil
 
 from smp_gym.atomic_files import write_text
-from smp_gym.optional_packages import require
 
 __all__ = ["FAULTS", "KILLS", "Work", "killed_at_random"]
 
@@ -77,9 +76,7 @@ def killed_at_random(
 
     Raises:
         RuntimeError: undisturbed work fails.
-        ModuleNotFoundError: psutil is not installed.
     """
-    require("dev", "killing processes", "psutil")
     whole, tally = folder / "whole", Counter({KILLS: 0})
 
     def count(fault: str, told: str) -> None:

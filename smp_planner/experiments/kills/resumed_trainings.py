@@ -117,5 +117,7 @@ def _weights(path: Path) -> str:
 
 
 def _digest(arrays: Mapping[str, Any]) -> str:
-    parts = (name.encode() + np.ascontiguousarray(array).tobytes() for name, array in arrays.items())
+    parts = (
+        name.encode() + np.ascontiguousarray(array).tobytes() for name, array in arrays.items()
+    )
     return hashlib.sha256(b"".join(parts)).hexdigest()
