@@ -1,4 +1,4 @@
-"""Every script says in one line by which extra comes what it imports, and names all that it does."""
+"""Every script says in one line by which extra comes what it imports, and names all of them."""
 
 import ast
 import json
