@@ -137,7 +137,12 @@ class SceneTarget:
         # that they are given together with.
         size = max(1, len(trajectories) // MOST_THREADS)
         parts = [slice(k, k + size) for k in range(0, len(trajectories), size)]
-        self._threads.over(len(parts), lambda mine: [add(rows) for rows in parts[mine]])
+
+        def add_all(mine: slice) -> None:
+            for rows in parts[mine]:
+                add(rows)
+
+        self._threads.over(len(parts), add_all)
         for name, (weight, cost) in self._terms.items():
             rest = self._rest(name, count)
             if name not in self._compiled or rest.start > 0:
