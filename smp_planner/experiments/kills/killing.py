@@ -163,11 +163,16 @@ def _told(out: Path) -> str:
 def _ended(run: int, seconds: float = float("inf")) -> int | None:
     """Wait for a process, and return its exit status; None if it has not ended in time."""
     end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        ended, status = os.waitpid(run, os.WNOHANG)
-        if ended:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.002)
+    try:
+        while time.monotonic() < end:
+            ended, status = os.waitpid(run, os.WNOHANG)
+            if ended:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.002)
+    except BaseException:
+        # Whoever interrupts leaves nothing running.
+        os.kill(run, signal.SIGKILL)
+        raise
     return None
 
 
