@@ -9,6 +9,10 @@ random, of which some stay as good as they were. A death ends this process.
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import json
 import resource
 import signal
@@ -26,7 +30,6 @@ import numpy as np
 import torch
 import typer
 from rich.console import Console
-from rich.table import Table
 from trimesh.creation import box
 
 import smp_gym  # noqa: F401
@@ -63,6 +66,7 @@ from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest, read_results
 from smp_planner.benchmark.options import run_command
 from smp_planner.benchmark.results_folder import RESULTS
+from smp_planner.experiments.outcomes import print_outcomes
 from smp_planner.movement_primitives import GaussianBasis, ProMP
 
 SCENE = """scene
@@ -550,12 +554,7 @@ def main(
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     console = Console()
     outcomes = attack(count, seed, partial(console.print, markup=False))
-    table = Table("entry point", *OUTCOMES, title=f"{count} bad inputs")
-    for title, counted in sorted(outcomes.items()):
-        table.add_row(title, *(str(counted[what] or "") for what in OUTCOMES))
-    total: Counter[str] = sum(outcomes.values(), Counter())
-    table.add_row("all", *(str(total[what]) for what in OUTCOMES))
-    console.print(table)
+    print_outcomes(console, outcomes, OUTCOMES, "entry point", f"{count} bad inputs")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,10 @@ it starts a process, opens a port, writes into the checkout, or has had its time
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import faulthandler
 import io
 import multiprocessing.process
@@ -35,13 +39,13 @@ from typing import Annotated, Any, get_args, get_type_hints
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from smp_gym.suites import Cell
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest
 from smp_planner.benchmark.options import CommandLine, run_command
 from smp_planner.benchmark.results_folder import RESULTS
+from smp_planner.experiments.outcomes import print_outcomes
 
 LIMIT = 2.0
 """Seconds that a command may take; then it has gone to work."""
@@ -416,12 +420,7 @@ def main(
     warnings.simplefilter("ignore")
     console = Console()
     outcomes = attack(count, seed, partial(console.print, markup=False, highlight=False))
-    table = Table("command", *OUTCOMES, title=f"{count} bad command lines")
-    for title, counted in sorted(outcomes.items()):
-        table.add_row(title, *(str(counted[what] or "") for what in OUTCOMES))
-    total: Counter[str] = sum(outcomes.values(), Counter())
-    table.add_row("all", *(str(total[what]) for what in OUTCOMES))
-    console.print(table)
+    total = print_outcomes(console, outcomes, OUTCOMES, "command", f"{count} bad command lines")
     if total["traceback"]:
         raise typer.Exit(1)
 

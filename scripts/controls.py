@@ -5,6 +5,10 @@ One JSON file per task, family and difficulty is written; the same command conti
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 from pathlib import Path
 from typing import Annotated
 

@@ -5,6 +5,10 @@ One PNG file for each cell (task, family and difficulty), twelve scenes on it.
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 from pathlib import Path
 from typing import Annotated
 

@@ -6,6 +6,10 @@ Each round learns the fixed detour that gets through most of the present scenes 
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 from typing import Annotated
 
 import typer

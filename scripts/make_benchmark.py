@@ -6,6 +6,10 @@ Scenes are drawn seed after seed and kept if any of several solvers solves them 
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import time
 from pathlib import Path
 from typing import Annotated, Any

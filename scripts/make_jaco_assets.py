@@ -7,6 +7,10 @@ for the pictures.
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 from pathlib import Path
 from typing import Annotated
 

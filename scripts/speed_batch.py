@@ -6,6 +6,10 @@ needs neither PyBullet nor the environments; `verify` checks the particles exact
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import itertools
 import json
 from pathlib import Path

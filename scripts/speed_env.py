@@ -6,6 +6,10 @@ smp-gym[panda]``). Actions are random; steps a second leave out the resets in be
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import os
 from typing import Annotated
 

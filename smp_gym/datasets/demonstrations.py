@@ -9,6 +9,7 @@ read from the data (`Demonstrations.release_phase`).
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -159,6 +160,16 @@ class Demonstrations:
         path = Path(path)
         if path.suffix != ".npz":
             raise ValueError(f"path must end in .npz, got {str(path)!r}")
+        content = self.to_bytes()
+        with replacing(path) as aside:
+            aside.write_bytes(content)
+
+    def to_bytes(self) -> bytes:
+        """Return the content of the file that `save` writes.
+
+        Raises:
+            ValueError: the metadata is not JSON.
+        """
         header = {
             "version": FORMAT_VERSION,
             "task": self.task,
@@ -170,8 +181,9 @@ class Demonstrations:
         except (TypeError, ValueError) as error:
             raise ValueError(f"metadata must be JSON values, got {self.metadata!r}") from error
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        with replacing(path) as aside:
-            np.savez_compressed(aside, header=np.array(text), **arrays)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, header=np.array(text), **arrays)
+        return buffer.getvalue()
 
     @classmethod
     def load(cls, task_or_path: str | Path) -> Demonstrations:

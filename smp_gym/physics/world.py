@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.geometry.shape import SolidArguments
+from smp_gym.physics.capacity import Places
 from smp_gym.physics.display import check_display
 from smp_gym.physics.hangers import hangers
 from smp_gym.physics.lines import Line, draw_lines
@@ -56,6 +57,9 @@ _RAYS_IN_A_BATCH = 8192
 
 _FARTHEST = 100.0
 """Metres of a camera from its target."""
+
+_PLACES = Places()
+"""Of the worlds that are open in this process, by PyBullet's numbers."""
 
 _PARKING_HEIGHT = -20.0
 _SPECK = Obstacle(shape="sphere", position=_ORIGIN, size=(0.01, 0.01, 0.01))
@@ -104,6 +108,7 @@ def _geometry(solid: SolidArguments) -> int:
 
 
 def _disconnect(client: int) -> None:
+    _PLACES.give_back(client)
     if pybullet.isConnected(client):
         pybullet.disconnect(client)
 
@@ -133,11 +138,15 @@ class BulletWorld:
             for the looks of a cylinder or sphere, which takes longer than all else of its body.
 
     Raises:
-        RuntimeError: a window was asked for and there is no display for it.
+        RuntimeError: a window was asked for and there is no display for it, or as many worlds are
+            open as PyBullet allows.
+        MemoryError: there is too little memory left.
     """
 
     def __init__(self, *, gui: bool = False, seen: bool = True) -> None:
+        _PLACES.check()
         self.client = _connect(gui)
+        _PLACES.take(self.client)
         self.gui = gui
         self._seen = seen
         self._finalizer = weakref.finalize(self, _disconnect, self.client)

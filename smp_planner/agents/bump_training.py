@@ -355,6 +355,8 @@ class BumpTraining:
                     )
                     recent = []
                     self._keep()
+        # The last checkpoint may be there without it.
+        self._write_curve()
         write_agent(self._folder / "agent.json", self.policy, self.card({}))
 
     def card(self, scores: dict[str, Any]) -> AgentCard:
@@ -453,6 +455,9 @@ class BumpTraining:
         }
         with replacing(self._folder / "checkpoint.pt") as aside:
             torch.save(content, aside)
+        self._write_curve()
+
+    def _write_curve(self) -> None:
         names = list(CurvePoint.__dataclass_fields__)
         rows = [[getattr(point, name) for name in names] for point in self.curve]
         write_table(self._folder / "curve.csv", names, rows)

@@ -8,6 +8,7 @@ import math
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -101,6 +102,11 @@ class CommandLine(typer.Typer):
                     raise
                 print_error(_described(error))
                 raise SystemExit(2) from None
+            except BrokenProcessPool:
+                print_error(
+                    "a worker process died (killed, or out of memory): fewer --jobs need less"
+                )
+                raise SystemExit(1) from None
 
 
 def run_command(function: Callable[..., Any]) -> None:

@@ -23,7 +23,7 @@ from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.settings import PlanSettings
-from smp_planner.planning.threads import Threads
+from smp_planner.planning.threads import MOST_THREADS, Threads
 
 __all__ = ["SceneTarget", "TargetBatch"]
 
@@ -133,7 +133,16 @@ class SceneTarget:
                     cost.add(part, self._terms[name][0], total, slope)
 
         count = trajectories.shape[1]
-        self._threads.over(len(trajectories), add)
+        # The same parts for any number of threads: how the kernels round a row depends on the rows
+        # that they are given together with.
+        size = max(1, len(trajectories) // MOST_THREADS)
+        parts = [slice(k, k + size) for k in range(0, len(trajectories), size)]
+
+        def add_all(mine: slice) -> None:
+            for rows in parts[mine]:
+                add(rows)
+
+        self._threads.over(len(parts), add_all)
         for name, (weight, cost) in self._terms.items():
             rest = self._rest(name, count)
             if name not in self._compiled or rest.start > 0:

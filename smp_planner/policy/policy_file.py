@@ -8,7 +8,6 @@ milliseconds and keeps file and code from drifting apart.
 from __future__ import annotations
 
 import json
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -55,12 +54,14 @@ def write_policy(path: Path, policy: SavedPolicy) -> None:
         "settings": dict(policy.settings),
         "seed": policy.seed,
     }
-    with tempfile.TemporaryDirectory() as folder, replacing(path) as aside:
-        learned_from = Path(folder) / _DEMONSTRATIONS
-        policy.demonstrations.save(learned_from)
-        with zipfile.ZipFile(aside, "w") as archive:
-            archive.writestr(_HEADER_FILE, json.dumps(header, indent=1))
-            archive.write(learned_from, _DEMONSTRATIONS)
+    members = {
+        _HEADER_FILE: json.dumps(header, indent=1).encode(),
+        _DEMONSTRATIONS: policy.demonstrations.to_bytes(),
+    }
+    with replacing(path) as aside, zipfile.ZipFile(aside, "w") as archive:
+        for name, content in members.items():
+            # Without the time of day: the same policy gives the same bytes.
+            archive.writestr(zipfile.ZipInfo(name), content)
 
 
 def read_policy(path: Path) -> SavedPolicy:

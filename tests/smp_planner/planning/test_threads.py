@@ -7,9 +7,14 @@ import pytest
 import torch
 
 from smp_gym.datasets.demonstrations import Demonstrations
+from smp_gym.sampling import sample_scene
+from smp_gym.scene import TASKS
 from smp_planner import SMP, Circle
+from smp_planner.agents.posed_scenes import posed
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import ProMPMixture
+from smp_planner.planners import PLANNERS, make_planner
+from smp_planner.planning import pipeline
 from smp_planner.planning.prior import learn_prior
 from smp_planner.planning.settings import PriorSettings
 from smp_planner.planning.threads import Threads, default_threads
@@ -113,3 +118,21 @@ def test_a_plan_is_the_same_on_any_number_of_threads(torch_threads):
     for plan in plans[1:]:
         np.testing.assert_array_equal(plan.trajectories, plans[0].trajectories)
         np.testing.assert_array_equal(plan.weights, plans[0].weights)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_planner_plans_the_same_on_any_number_of_threads(task, torch_threads, monkeypatch):
+    """What it learns included; also on more threads than there are cores."""
+    (problem,) = posed([sample_scene(task, "easy", 2)])
+    names = [name for name in PLANNERS if name != "rrt_connect"]
+    plans = []
+    for threads in (1, 2, 4):
+        torch_threads(threads)
+        monkeypatch.setattr(pipeline, "default_threads", torch.get_num_threads)
+        plans.append([make_planner(name, task).plan([problem])[0] for name in names])
+    for others in plans[1:]:
+        for name, one, other in zip(names, plans[0], others, strict=True):
+            for part in ("trajectories", "weights", "clearance", "passing", "ranks"):
+                np.testing.assert_array_equal(getattr(one, part), getattr(other, part), name)
+            assert one.chosen == other.chosen
+            assert len(one.trajectories)
