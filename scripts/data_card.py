@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 from datetime import date
 from pathlib import Path
 from typing import Annotated

@@ -5,6 +5,10 @@ Needs nbclient and ipykernel, which the extra ``dev`` brings.
 
 from __future__ import annotations
 
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
 import base64
 import io
 from pathlib import Path
