@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
+import torch
 from safetensors.torch import load_file
-from stable_baselines3 import SAC
 
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_planner.agents.bump_training import BumpSettings, BumpTraining
@@ -112,7 +114,9 @@ def _weights(path: Path) -> str:
     """Return a digest of the weights of an agent of stable-baselines3; of none if there is none."""
     if not path.exists():
         return ""
-    state = SAC.load(path, device="cpu").policy.state_dict()
+    with ZipFile(path) as archive:
+        content = io.BytesIO(archive.read("policy.pth"))
+    state = torch.load(content, weights_only=True)
     return _digest({name: value.numpy() for name, value in state.items()})
 
 
