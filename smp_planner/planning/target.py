@@ -135,7 +135,7 @@ class SceneTarget:
         count = trajectories.shape[1]
         # The same parts for any number of threads: how the kernels round a row depends on the rows
         # that they are given together with.
-        size = max(1, len(trajectories) // MOST_THREADS)
+        size = -(-len(trajectories) // MOST_THREADS)
         parts = [slice(k, k + size) for k in range(0, len(trajectories), size)]
 
         def add_all(mine: slice) -> None:

@@ -12,7 +12,7 @@ import torch
 
 __all__ = ["MOST_THREADS", "Threads", "default_threads"]
 
-MOST_THREADS = 8
+MOST_THREADS = 4
 """Threads of one plan, unless more are asked for: beyond, waking them costs what they save."""
 
 

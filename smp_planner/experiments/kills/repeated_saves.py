@@ -102,7 +102,8 @@ def _saves(second: bool) -> dict[str, Save]:
     torch.manual_seed(number)
     policy = BumpPolicy(NetworkShape(12, number), 0.2)
     card = AgentCard("mp_rl", "Placement", 2, vars(policy.shape), {"iterations": number}, {})
-    timed = TimedTrajectory(("a", "b"), phase, *(number * paths[0] for _ in range(3)))
+    path = number * paths[0]
+    timed = TimedTrajectory(("a", "b"), phase, path, path, path, phase)
     saves: dict[str, Save] = {
         "primitive.npz": SMP.fit(paths).save,
         "shown.npz": shown.save,
