@@ -1,7 +1,7 @@
 """Policy search over bumps: its gradient, a bandit with a known optimum, tiny trainings, files."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from smp_planner.agents.shipping import scores_of, ship_agent
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest
 from smp_planner.planners import make_planner
-from smp_planner.planners.agent_file import read_agent, write_agent
+from smp_planner.planners.agent_file import AgentCard, read_agent, write_agent
 from smp_planner.planners.bump_planner import LEARNED, BumpPlanner
 from smp_planner.planners.bump_policy import ActionDistribution, BumpPolicy, Looks, NetworkShape
 from smp_planner.planners.card_file import shipped_agent
@@ -143,6 +143,35 @@ def test_a_training_goes_on_as_if_undisturbed(trained):
         BumpTraining(
             halves, agent="detour", task="Placement", difficulties=["easy"], seed=5, settings=TINY
         )
+
+
+def test_a_curve_that_a_kill_left_behind_its_checkpoint_is_completed(tmp_path):
+    training = BumpTraining(
+        tmp_path, agent="detour", task="Placement", difficulties=["easy"], seed=0, settings=TINY
+    )
+    training.run(2, every=1)
+    training.close()
+    curve = tmp_path / "curve.csv"
+    whole = curve.read_text()
+    curve.write_text("".join(whole.splitlines(keepends=True)[:-1]))
+    again = BumpTraining(
+        tmp_path, agent="detour", task="Placement", difficulties=["easy"], seed=0, settings=TINY
+    )
+    again.run(2, every=1)
+    again.close()
+    assert curve.read_text() == whole
+
+
+def test_weights_of_another_card_are_refused(tmp_path):
+    card = AgentCard("mp_rl", "Placement", 2, asdict(NetworkShape(12, 1)), {}, {})
+    for name, seed in (("one", 0), ("other", 1)):
+        torch.manual_seed(seed)
+        write_agent(tmp_path / f"{name}.json", BumpPolicy(NetworkShape(12, 1)), card)
+    read_agent(tmp_path / "one.json")
+    # As a kill between the two files leaves them.
+    (tmp_path / "one.safetensors").write_bytes((tmp_path / "other.safetensors").read_bytes())
+    with pytest.raises(ValueError, match=r"one\.safetensors is not the weights of .*sha256"):
+        read_agent(tmp_path / "one.json")
 
 
 def test_the_agent_from_its_file_is_the_trained_one(trained):

@@ -1,6 +1,8 @@
 """What command lines share."""
 
 import io
+import os
+import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -119,6 +121,19 @@ def test_numbers_and_paths_are_checked_before_a_command(line, words, capsys, mon
 def test_what_is_allowed_reaches_the_command(capsys):
     assert _ended(_measure, "none/deep", "--scale", "2.5", "--count", str(LARGEST)) == 0
     assert capsys.readouterr().out == f"measured 2.5 {LARGEST}\n"
+
+
+def _killed(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_killed_worker_is_told_of_in_one_line(capsys):
+    def measure() -> None:
+        pooled(_killed, [1, 2], "numbers", Console(file=io.StringIO()), jobs=2)
+
+    assert _ended(measure) == 1
+    assert capsys.readouterr().err.strip().endswith("fewer --jobs need less")
 
 
 @pytest.mark.parametrize(
