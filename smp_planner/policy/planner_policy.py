@@ -37,6 +37,7 @@ from smp_planner.policy.replanned_execution import (
     Replanning,
     begin,
     foreseen,
+    highest_rate,
     pursue,
 )
 from smp_planner.policy.tracking import GripperEvent, Track, gripper_event
@@ -143,6 +144,7 @@ class PlannerPolicy:
         self.task = demonstrations.task
         self.observation_space: spaces.Dict = observation_space(self.task)
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
+        self._most = highest_rate(demonstrations)
         self._event: GripperEvent | None = gripper_event(demonstrations.gripper)
         self._grasping = learn_grasping(demonstrations)
         drawing = demonstrations.scenes[0].goals[0].kind == "stroke"
@@ -298,7 +300,9 @@ class PlannerPolicy:
 
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
         problem = problem_from(decoded, digest, self._phases, grasping=self._grasping)
-        return problem if self.replanning is None else foreseen(problem, self.replanning)
+        return (
+            problem if self.replanning is None else foreseen(problem, self.replanning, self._most)
+        )
 
     def track(self, plan: Plan, particle: int, first_step: int = 0) -> Track:
         """Return the timed trajectory of one particle of a plan, as the policy would execute it.
@@ -355,7 +359,9 @@ class PlannerPolicy:
         track = self.track(plan, particle, decoded.elapsed_steps)
         pursuit = None
         if self.replanning is not None:
-            pursuit = begin(plan, problem, particle, decoded.elapsed_steps, self.replanning)
+            pursuit = begin(
+                plan, problem, particle, decoded.elapsed_steps, self.replanning, self._most
+            )
         return Execution(plan, particle, track, problem.seed, pursuit)
 
     def save(self, path: str | Path) -> None:

@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.arrays import FloatArray, IntArray
-from smp_gym.control import reference_action
+from smp_gym.control import execution_times, reference_action
+from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import CONTROL_PERIOD, DecodedObservation
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.scene import Obstacle
-from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.moving import clearance_in_time, is_moving
 from smp_planner.planning.assessment import HOLD
-from smp_planner.planning.clock import RAMP, Clock
+from smp_planner.planning.clock import RAMP, Clock, segment_rates
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.forecasting import Looks, forecast_of, surprising
 from smp_planner.planning.plan import Plan
@@ -37,7 +37,16 @@ from smp_planner.planning.settings import PlanSettings
 from smp_planner.policy.observed_problem import seen_map
 from smp_planner.policy.tracking import CLOSING_STEPS, SETTLING_STEPS, GripperEvent
 
-__all__ = ["LATENCY", "Pursuit", "Replanner", "Replanning", "begin", "foreseen", "pursue"]
+__all__ = [
+    "LATENCY",
+    "Pursuit",
+    "Replanner",
+    "Replanning",
+    "begin",
+    "foreseen",
+    "highest_rate",
+    "pursue",
+]
 
 LATENCY = 2
 """Control steps from asking for a plan to its taking effect, unless another number is given."""
@@ -64,7 +73,7 @@ _NEAR_CORNER = 1e-3
 """Of the phase, within which a corner counts as reached."""
 
 MOST_HASTE = 1.25
-"""Highest rate of the phase, in that of the first plan: what is left of a trajectory slows down
+"""Highest rate of the phase, in that of the demonstrations: what is left of a trajectory slows down
 towards its end, and could be run through in no time."""
 
 PATIENCE = 4
@@ -149,8 +158,7 @@ class Pursuit:
         problem: that it solves.
         particle: which of its particles is executed.
         trajectory: (T, 6) rad, what is done and what is ahead.
-        limits: (T,) 1/s, highest rates of the phase at which what is ahead of each sample can be
-            executed.
+        limits: (T - 1,) 1/s, highest rates of the phase, see `segment_rates`.
         most: 1/s, highest rate of the phase whatever the limits of the joints are.
         expected: the problem that a plan was last asked for, with what it expects of obstacles.
         weight: (N,) of how many looks at each obstacle that is the mean.
@@ -208,15 +216,29 @@ class Pursuit:
         return f"{self.failed} of {self.replans} replans found no good particle"
 
 
-def foreseen(problem: Problem, replanning: Replanning) -> Problem:
-    """Return a first problem as it is planned where plans will be made anew."""
+def foreseen(problem: Problem, replanning: Replanning, most: float) -> Problem:
+    """Return a first problem as it is planned where plans will be made anew.
+
+    Args:
+        problem: that is posed.
+        replanning: when the plan takes effect.
+        most: 1/s, highest rate of the phase.
+    """
     delay = replanning.latency * CONTROL_PERIOD
     horizon = delay + LOOKAHEAD * CONTROL_PERIOD
-    return replace(problem, clock=Clock(delay=delay), foresight=horizon)
+    return replace(problem, clock=Clock(delay=delay, rate=0.0, most=most), foresight=horizon)
+
+
+def highest_rate(demonstrations: Demonstrations) -> float:
+    """Return the highest rate, 1/s, of the phase where plans are made anew.
+
+    It is `MOST_HASTE` times that at which demonstrations are executed.
+    """
+    return float(MOST_HASTE / np.median(execution_times(demonstrations.configurations)))
 
 
 def begin(
-    plan: Plan, problem: Problem, particle: int, step: int, replanning: Replanning
+    plan: Plan, problem: Problem, particle: int, step: int, replanning: Replanning, most: float
 ) -> Pursuit:
     """Return the state in which an episode's execution begins.
 
@@ -226,6 +248,7 @@ def begin(
         particle: that is executed.
         step: environment steps since the episode began.
         replanning: when the plan takes effect.
+        most: 1/s, highest rate of the phase.
     """
     trajectory = np.array(plan.trajectories[particle])
     return Pursuit(
@@ -233,8 +256,8 @@ def begin(
         problem=problem,
         particle=particle,
         trajectory=trajectory,
-        limits=_limits(problem, trajectory),
-        most=MOST_HASTE / min(float(plan.duration[particle]), float(np.median(plan.duration))),
+        limits=_limits(problem, trajectory, most),
+        most=most,
         expected=problem,
         weight=np.ones(len(problem.movable), np.int64),
         observed=step,
@@ -243,17 +266,17 @@ def begin(
     )
 
 
-def _limits(problem: Problem, trajectory: FloatArray) -> FloatArray:
-    """Return the highest rates (T,) 1/s at which what is ahead of each sample can be executed."""
-    share = np.abs(np.diff(trajectory, axis=0)) / (VELOCITY_FRACTION * problem.robot.velocity)
-    ahead = np.maximum.accumulate(share.max(axis=1)[::-1])[::-1] * (len(trajectory) - 1)
-    return 1.0 / np.maximum(np.append(ahead, ahead[-1]), 1e-3)
+def _limits(problem: Problem, trajectory: FloatArray, most: float) -> FloatArray:
+    """Return the highest rates (T - 1,) 1/s of the phase on the segments of a trajectory."""
+    return np.asarray(segment_rates(trajectory[None], problem.robot.velocity, most)[0])
 
 
-def _highest(pursuit: Pursuit, phase: float) -> float:
-    """Return the highest rate of the phase from a phase on."""
-    sample = int(phase * (len(pursuit.limits) - 1) + 1e-9)
-    return min(float(pursuit.limits[sample]), pursuit.most)
+def _highest(pursuit: Pursuit, phase: float, backwards: bool = False) -> float:
+    """Return the highest rate at a phase; backwards, that at which all that is done can be."""
+    segment = min(int(phase * len(pursuit.limits) + 1e-9), len(pursuit.limits) - 1)
+    if backwards:
+        return float(pursuit.limits[: segment + 1].min())
+    return float(pursuit.limits[segment])
 
 
 def _turned(rate: float, target: float, highest: float) -> float:
@@ -269,7 +292,7 @@ def _course(pursuit: Pursuit, factor: float, steps: int) -> tuple[FloatArray, fl
         below = max((c for c in pursuit.corners if c < phase - _ROUNDING), default=0.0)
         above = min((c for c in pursuit.corners if c > phase + _ROUNDING), default=np.inf)
         # What has been done is retreated along no faster than all of it can be.
-        highest = _highest(pursuit, phase if min(factor, rate) >= 0.0 else 0.0)
+        highest = _highest(pursuit, phase, backwards=min(factor, rate) < 0.0)
         rate = _turned(rate, factor * highest, highest)
         # What has to be passed at rest is approached ever more slowly.
         rate = min(max(rate, (below - phase) / RAMP), (above - phase) / RAMP)
@@ -487,7 +510,7 @@ def _on(pursuit: Pursuit, pending: _Pending, particle: int) -> Pursuit:
         problem=pending.problem,
         particle=particle,
         trajectory=trajectory,
-        limits=_limits(pending.problem, trajectory),
+        limits=_limits(pending.problem, trajectory, pursuit.most),
         corners=(
             *(corner for corner in pursuit.corners if corner < pending.problem.clock.phase),
             *((pending.problem.clock.phase,) if pending.standing else ()),
