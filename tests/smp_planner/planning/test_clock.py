@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from smp_gym.observation import CONTROL_PERIOD
+from smp_planner.collision.costs import VELOCITY_FRACTION
 from smp_planner.collision.verification import minimum_duration
-from smp_planner.planning.clock import RAMP, Clock
+from smp_planner.planning.clock import RAMP, Clock, segment_rates
 
 VELOCITY = np.array([0.6, 0.8])
 
@@ -29,18 +31,37 @@ def test_from_rest_the_whole_takes_the_shortest_duration_that_limits_allow():
 @pytest.mark.parametrize("rate", [0.0, 0.05, 0.4])
 def test_the_rate_changes_evenly_within_the_ramp(rate):
     """Independent truth: the phase, integrated in small steps of time."""
-    clock = Clock(0.31, 0.1, rate)
+    most = 0.05
+    clock = Clock(0.31, 0.1, rate, most)
     times = clock.times(_paths(), VELOCITY)
-    final = clock.rates(_paths(), VELOCITY)
+    assert (segment_rates(_paths(), VELOCITY, most) == most).all()
     step = 1e-4
-    for path_times, last in zip(times, final, strict=True):
+    for path_times in times:
         assert (path_times[: 63 - 1] == 0.1).all()
         moments = np.arange(0.0, 60.0, step)
-        rates = rate + (last - rate) * np.minimum((moments + step / 2) / RAMP, 1.0)
+        rates = rate + (most - rate) * np.minimum((moments + step / 2) / RAMP, 1.0)
         phases = 0.31 + np.cumsum(rates) * step
         for sample in (70, 90, 140, 200):
             reached = moments[np.searchsorted(phases, sample / 200)] + step
             assert path_times[sample] - 0.1 == pytest.approx(reached, abs=2e-3)
+
+
+def test_each_stretch_is_as_fast_as_it_allows_and_is_slowed_down_for_in_time():
+    paths, most = _paths(), 0.5
+    rates = segment_rates(paths, VELOCITY, most)
+    velocities = np.abs(np.diff(paths, axis=1)) * 200 * rates[..., None]
+    assert (velocities <= VELOCITY_FRACTION * VELOCITY * (1.0 + 1e-9)).all()
+    # By hand: on each segment the least of what follows within the braking distance.
+    own = VELOCITY_FRACTION * VELOCITY / np.maximum(np.abs(np.diff(paths, axis=1)) * 200, 1e-9)
+    own = np.minimum(own.min(axis=2), most)
+    for row, found in zip(own, rates, strict=True):
+        for segment in (0, 57, 120, 199):
+            reach = int(row.max() * (0.5 * RAMP + 2.0 * CONTROL_PERIOD) * 200) + 2
+            assert found[segment] == pytest.approx(row[segment : segment + reach].min())
+    assert (rates.max(axis=1) > 1.2 * rates.min(axis=1)).any()
+    # In motion at that rate, the phase passes samples as the rates say.
+    times = Clock(0.0, 0.0, float(rates[0, 0]), most).times(paths[:1], VELOCITY)[0]
+    np.testing.assert_allclose(times[1:], np.cumsum(1.0 / rates[0]) / 200, atol=1e-3)
 
 
 def test_only_the_rest_of_the_trajectory_limits_the_rate():
