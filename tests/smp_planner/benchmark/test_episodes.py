@@ -96,15 +96,15 @@ def test_the_command_makes_plans_anew_and_rows_say_so(tmp_path: Path) -> None:
     out = tmp_path / "out"
     common = ["run", "--jobs", "1", "--no-figure", "--no-video", "--difficulty", "none"]
     common += ["--episodes", "1", "--seed", "3", "--out", str(out)]
-    own = ["--methods", "promp", "--replan-every", "25", "--latency", "3"]
+    own = ["--methods", "promp", "--replan-every", "15", "--latency", "3"]
     result = CliRunner().invoke(app, [*common, *own])
     assert result.exit_code == 0, result.output
     assert "replanning: every, latency, steps" in result.output
     manifest, (row,) = read_results(out)
-    assert (manifest.replan_every, manifest.latency) == (25, 3)
-    assert (row.replan_every, row.latency) == (25, 3)
+    assert (manifest.replan_every, manifest.latency) == (15, 3)
+    assert (row.replan_every, row.latency) == (15, 3)
     assert row.success
-    assert 3 <= row.replans <= row.steps // 25
+    assert 3 <= row.replans <= row.steps // 15
     assert 0.0 < row.replanning_time < row.episode_time
     assert row.seed == 3
     assert not [*out.glob("*.png"), *out.glob("*.mp4")]
