@@ -162,14 +162,21 @@ def joints_of(state: Any, where: str) -> dict[str, float]:
     state = _mapping(state or {}, where)
     where = f"{where}.joint_state"
     entries = _mapping(state.get("joint_state") or {}, where)
-    names = _list(entries.get("name"), f"{where}.name")
-    positions = _list(entries.get("position"), f"{where}.position")
-    if len(names) != len(positions):
-        raise ValueError(
-            f"{where} must have a position for each of its {len(names)} names, got {len(positions)}"
-        )
-    pairs = zip(names, positions, strict=True)
+    pairs = _named(entries, "name", "position", "position", where)
     return _joints([(name, _number(value, f"{where}.position")) for name, value in pairs], where)
+
+
+def _named(
+    entries: Mapping[str, Any], names: str, values: str, value: str, where: str
+) -> list[tuple[Any, Any]]:
+    """Return the pairs of two lists of a message: names, and a value (in words) for each."""
+    given = _list(entries.get(names), f"{where}.{names}")
+    found = _list(entries.get(values), f"{where}.{values}")
+    if len(given) != len(found):
+        raise ValueError(
+            f"{where} must have a {value} for each of its {len(given)} names, got {len(found)}"
+        )
+    return list(zip(given, found, strict=True))
 
 
 def base_moved(state: Any, where: str) -> str | None:
@@ -181,14 +188,8 @@ def base_moved(state: Any, where: str) -> str | None:
     state = _mapping(state or {}, where)
     where = f"{where}.multi_dof_joint_state"
     entries = _mapping(state.get("multi_dof_joint_state") or {}, where)
-    names = _list(entries.get("joint_names"), f"{where}.joint_names")
-    transforms = _list(entries.get("transforms"), f"{where}.transforms")
-    if len(names) != len(transforms):
-        raise ValueError(
-            f"{where} must have a transform for each of its {len(names)} names, got "
-            f"{len(transforms)}"
-        )
-    for number, (name, entry) in enumerate(zip(names, transforms, strict=True)):
+    pairs = _named(entries, "joint_names", "transforms", "transform", where)
+    for number, (name, entry) in enumerate(pairs):
         if not _stays(_transform(entry, f"{where}.transforms[{number}]")):
             return str(name)
     return None

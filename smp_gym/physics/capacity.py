@@ -1,4 +1,4 @@
-"""How many physics worlds there is room for: PyBullet dies where there is none, so ask before."""
+"""Limits of the number of physics worlds in a process, beyond which PyBullet dies."""
 
 from __future__ import annotations
 
@@ -54,8 +54,7 @@ def _check(worlds: int, anew: bool) -> None:
             f"PyBullet allows {MOST_WORLDS} physics worlds in a process, and {worlds} are "
             f"open: {advice}, or use several processes"
         )
-    left = free_memory()
-    if anew and left < NEEDED:
+    if anew and (left := free_memory()) < NEEDED:
         raise MemoryError(
             f"another physics world needs {NEEDED // 2**20} MB of memory, and {left // 2**20} MB "
             f"are left with {worlds} open in this process: {advice}"

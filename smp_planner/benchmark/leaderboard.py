@@ -43,15 +43,15 @@ LEADERBOARD, EPISODES = "leaderboard.csv", "episodes.csv.gz"
 """Names of the files."""
 
 FROZEN = "frozen list"
-"""What stands for the scenes of an entry that was measured on the first episodes of a list."""
+"""The `scenes` of an entry that was measured on the first episodes of a frozen list."""
 
 _SINGLE = "-"
 _DIGITS = 4
 
 
-@dataclass(frozen=True, order=True)
-class LeaderboardEpisode:
-    """One episode of one method.
+@dataclass(frozen=True)
+class Measurement:
+    """A method, and the scenes on which it is measured.
 
     Attributes:
         suite: whose frozen list holds the cell's scenes; "-" if none does.
@@ -64,13 +64,6 @@ class LeaderboardEpisode:
         replan_every: control steps after which it plans anew; 0 if it plans once.
         latency: control steps from asking for a plan to its taking effect; 0 likewise.
         scenes: of the entry, `FROZEN` or the first and last seed, as in ``79800-79809``.
-        half: of the frozen list; empty for a scene that is drawn from its seed.
-        seed: of the scene.
-        success: 1 if the physics engine judged the episode a success, else 0.
-        cause: of the failure; empty after a success.
-        steps: environment steps.
-        planning_time: s, of the first plan.
-        code: digest of the code that played it.
     """
 
     suite: str
@@ -83,6 +76,22 @@ class LeaderboardEpisode:
     replan_every: int
     latency: int
     scenes: str
+
+
+@dataclass(frozen=True, order=True)
+class LeaderboardEpisode(Measurement):
+    """One episode of a measurement.
+
+    Attributes:
+        half: of the frozen list; empty for a scene that is drawn from its seed.
+        seed: of the scene.
+        success: 1 if the physics engine judged the episode a success, else 0.
+        cause: of the failure; empty after a success.
+        steps: environment steps.
+        planning_time: s, of the first plan.
+        code: digest of the code that played it.
+    """
+
     half: str
     seed: int
     success: int
@@ -106,29 +115,19 @@ class LeaderboardEpisode:
 
     @property
     def entry(self) -> tuple[str | float, ...]:
-        """What the episodes of one entry have in common."""
+        """The fields of the measurement, which the episodes of one entry have in common."""
         return tuple(getattr(self, name) for name in _COMMON)
 
 
 _NAMES = [each.name for each in fields(LeaderboardEpisode)]
-_COMMON = _NAMES[: _NAMES.index("half")]
+_COMMON = [each.name for each in fields(Measurement)]
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One line of the leaderboard.
+class Entry(Measurement):
+    """One line of the leaderboard, what a measurement comes to.
 
     Attributes:
-        suite: see `LeaderboardEpisode`, as the next nine.
-        task: of the cell.
-        difficulty: of the cell.
-        family: of the cell.
-        sensing: of the cell.
-        noise: of the cell, m.
-        method: name of the method.
-        replan_every: control steps.
-        latency: control steps.
-        scenes: on which it was measured.
         n: episodes.
         successes: of them.
         rate: of success, rounded, as the next two.
@@ -138,16 +137,6 @@ class Entry:
         code: digest of the code.
     """
 
-    suite: str
-    task: str
-    difficulty: str
-    family: str
-    sensing: str
-    noise: float
-    method: str
-    replan_every: int
-    latency: int
-    scenes: str
     n: int
     successes: int
     rate: float

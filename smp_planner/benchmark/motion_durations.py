@@ -1,4 +1,4 @@
-"""What limits of jerk cost: durations of motions along planned paths, with them and without.
+"""Durations of motions along planned paths, with and without limits of jerk.
 
 `fastest_motion` leaves the jerk unlimited, `smooth_motion` limits it. One profile is one rise of
 the length with limited jerk for the whole path, as a generator for a single degree of freedom gives

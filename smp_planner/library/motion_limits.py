@@ -14,7 +14,7 @@ __all__ = ["Motion", "MotionLimits", "refused_speeds", "too_long"]
 
 
 class Motion(Protocol):
-    """How far a path is gone through, as a function of time."""
+    """Protocol of motions along a path: the length that is gone through, as a function of time."""
 
     @property
     def duration(self) -> float:

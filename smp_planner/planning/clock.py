@@ -35,14 +35,20 @@ def segment_rates(
         most: 1/s, which no rate exceeds.
     """
     segments = trajectories.shape[1] - 1
-    share = np.abs(np.diff(trajectories, axis=1)) / (VELOCITY_FRACTION * velocity)
-    rates = np.minimum(1.0 / np.maximum(share.max(axis=2) * segments, _LEAST_PART), most)
+    rates = np.minimum(_allowed_rates(trajectories, velocity), most)
     # Phase in which the rate falls to none within the ramp, and that of two control steps.
     braking = rates.max() * (0.5 * RAMP + 2.0 * CONTROL_PERIOD)
     window = min(int(braking * segments) + 2, segments)
     return np.asarray(
         minimum_filter1d(rates, window, axis=1, mode="nearest", origin=-(window // 2))
     )
+
+
+def _allowed_rates(trajectories: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Return the rates (P, T - 1) 1/s that velocity limits (n,) allow on each segment by itself."""
+    share = np.abs(np.diff(trajectories, axis=1)) / (VELOCITY_FRACTION * velocity)
+    fastest = share.max(axis=2) * (trajectories.shape[1] - 1)
+    return np.asarray(1.0 / np.maximum(fastest, _LEAST_PART))
 
 
 @dataclass(frozen=True)
@@ -90,10 +96,8 @@ class Clock:
             trajectories: (P, T, n) rad, at equal steps of phase.
             velocity: (n,) rad/s, velocity limits.
         """
-        rest = trajectories[:, self.first(trajectories.shape[1]) :]
-        share = np.abs(np.diff(rest, axis=1)) / (VELOCITY_FRACTION * velocity)
-        fastest = share.max(axis=(1, 2)) * (trajectories.shape[1] - 1)
-        return np.asarray(np.minimum(1.0 / np.maximum(fastest, _LEAST_PART), self.most))
+        rest = _allowed_rates(trajectories, velocity)[:, self.first(trajectories.shape[1]) :]
+        return np.asarray(np.minimum(rest.min(axis=1), self.most))
 
     def times(self, trajectories: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return when each sample is passed, (P, T) s since the observation.

@@ -359,9 +359,7 @@ class PlannerPolicy:
         track = self.track(plan, particle, decoded.elapsed_steps)
         pursuit = None
         if self.replanning is not None:
-            pursuit = begin(
-                plan, problem, particle, decoded.elapsed_steps, self.replanning, self._most
-            )
+            pursuit = begin(plan, problem, particle, decoded.elapsed_steps, self.replanning)
         return Execution(plan, particle, track, problem.seed, pursuit)
 
     def save(self, path: str | Path) -> None:

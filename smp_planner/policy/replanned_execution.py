@@ -159,7 +159,6 @@ class Pursuit:
         particle: which of its particles is executed.
         trajectory: (T, 6) rad, what is done and what is ahead.
         limits: (T - 1,) 1/s, highest rates of the phase, see `segment_rates`.
-        most: 1/s, highest rate of the phase whatever the limits of the joints are.
         expected: the problem that a plan was last asked for, with what it expects of obstacles.
         weight: (N,) of how many looks at each obstacle that is the mean.
         observed: step of the observation that this one is of.
@@ -187,7 +186,6 @@ class Pursuit:
     particle: int
     trajectory: FloatArray
     limits: FloatArray
-    most: float
     expected: Problem
     weight: IntArray
     observed: int
@@ -238,17 +236,16 @@ def highest_rate(demonstrations: Demonstrations) -> float:
 
 
 def begin(
-    plan: Plan, problem: Problem, particle: int, step: int, replanning: Replanning, most: float
+    plan: Plan, problem: Problem, particle: int, step: int, replanning: Replanning
 ) -> Pursuit:
     """Return the state in which an episode's execution begins.
 
     Args:
         plan: the first one.
-        problem: that it solves.
+        problem: that it solves, from `foreseen`.
         particle: that is executed.
         step: environment steps since the episode began.
         replanning: when the plan takes effect.
-        most: 1/s, highest rate of the phase.
     """
     trajectory = np.array(plan.trajectories[particle])
     return Pursuit(
@@ -256,8 +253,7 @@ def begin(
         problem=problem,
         particle=particle,
         trajectory=trajectory,
-        limits=_limits(problem, trajectory, most),
-        most=most,
+        limits=_limits(problem, trajectory),
         expected=problem,
         weight=np.ones(len(problem.movable), np.int64),
         observed=step,
@@ -266,9 +262,11 @@ def begin(
     )
 
 
-def _limits(problem: Problem, trajectory: FloatArray, most: float) -> FloatArray:
+def _limits(problem: Problem, trajectory: FloatArray) -> FloatArray:
     """Return the highest rates (T - 1,) 1/s of the phase on the segments of a trajectory."""
-    return np.asarray(segment_rates(trajectory[None], problem.robot.velocity, most)[0])
+    return np.asarray(
+        segment_rates(trajectory[None], problem.robot.velocity, problem.clock.most)[0]
+    )
 
 
 def _highest(pursuit: Pursuit, phase: float, backwards: bool = False) -> float:
@@ -413,7 +411,7 @@ def _ask(
     problem = resumed(
         pursuit.problem,
         pursuit.trajectory,
-        Clock(phase, delay, begins, pursuit.most),
+        Clock(phase, delay, begins, pursuit.problem.clock.most),
         looks.obstacles,
         turns,
         cloud,
@@ -510,7 +508,7 @@ def _on(pursuit: Pursuit, pending: _Pending, particle: int) -> Pursuit:
         problem=pending.problem,
         particle=particle,
         trajectory=trajectory,
-        limits=_limits(pending.problem, trajectory, pursuit.most),
+        limits=_limits(pending.problem, trajectory),
         corners=(
             *(corner for corner in pursuit.corners if corner < pending.problem.clock.phase),
             *((pending.problem.clock.phase,) if pending.standing else ()),
