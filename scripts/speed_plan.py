@@ -21,6 +21,7 @@ from smp_planner.benchmark.plan_speed import (
     growth,
     markdown,
     measure,
+    replans,
     stages_table,
 )
 from smp_planner.planners.ompl_search import ompl_is_installed
@@ -48,6 +49,9 @@ def main(
     busy: Annotated[bool, typer.Option(help="Once more beside a process that computes.")] = True,
     autograd: Annotated[int, typer.Option(min=0, help="Scenes planned by autograd, too.")] = 2,
     ompl: Annotated[int, typer.Option(min=0, help="Scenes planned by OMPL, too.")] = 2,
+    anew: Annotated[
+        int, typer.Option(min=0, help="Scenes of each task whose rest is planned anew, too.")
+    ] = 20,
     grow: Annotated[bool, typer.Option(help="How the time grows with the problem.")] = True,
     out: Annotated[
         Path | None, typer.Option(help="Markdown file for the tables.", dir_okay=False)
@@ -82,6 +86,9 @@ def main(
         for count, variant in slow:
             found += measure(task, difficulty, range(first_seed, first_seed + count), [variant])
     tables = [compared(found, reference), stages_table(found)]
+    if anew:
+        # One more, since the first is left out.
+        tables.append(replans(chosen, difficulty, range(first_seed, first_seed + anew + 1)))
     if grow:
         tables.append(growth())
     text = "\n\n".join(markdown(table) for table in tables) + "\n"

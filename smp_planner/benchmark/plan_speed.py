@@ -10,24 +10,32 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
+import torch
 
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.registration import environment_id
 from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.sampling import sample_scene
 from smp_planner.benchmark import plan_worker
 from smp_planner.benchmark.cost_speed import SPHERE_MARGIN, make_scene, make_trajectories
-from smp_planner.benchmark.timing import median_time
+from smp_planner.benchmark.timing import median_time, timed
 from smp_planner.collision.costs import CollisionCost, SelfCollisionCost
 from smp_planner.collision.robot_model import RobotModel, jaco_model
 from smp_planner.occupancy.grid import bake_analytic
+from smp_planner.planners.primitive_planner import PrimitivePlanner
+from smp_planner.planning.clock import Clock
+from smp_planner.planning.replanning import resumed
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [
     "Measurement",
@@ -37,8 +45,12 @@ __all__ = [
     "growth",
     "markdown",
     "measure",
+    "replans",
     "stages_table",
 ]
+
+_RATE = 0.1
+"""1/s, rate of the phase of an arm whose rest is planned anew."""
 
 
 @dataclass(frozen=True)
@@ -248,6 +260,46 @@ def stages_table(found: Sequence[Measurement]) -> list[list[str]]:
         medians = [np.median([m.stages.get(stage, 0.0) for m in own]) for stage in stages]
         total = np.median([m.wall for m in own])
         rows.append([task, name, *(f"{1e3 * value:.0f}" for value in (*medians, total))])
+    return rows
+
+
+def replans(tasks: Iterable[str], difficulty: str, seeds: Sequence[int]) -> list[list[str]]:
+    """Return rows of a table of what planning anew takes beside the first plan, on one thread.
+
+    In the middle of the best trajectory of each scene the rest is planned anew, the arm in motion
+    and the obstacles, which stand, where they were. Their map is kept, as during an execution.
+
+    Args:
+        tasks: names.
+        difficulty: of the scenes.
+        seeds: of the scenes of each task.
+    """
+    rows = [["task", "scenes", "plan, ms", "anew, ms", "ratio"]]
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        for task in tasks:
+            policy = PlannerPolicy.make("smp", task)
+            planner = policy.planner
+            assert isinstance(planner, PrimitivePlanner)
+            environment = gymnasium.make(environment_id(task), difficulty=difficulty)
+            first, anew = [], []
+            for seed in seeds:
+                problem = policy.problem(environment.reset(seed=seed)[0])
+                seconds, (plan,) = timed(planner.plan, [problem])
+                first.append(seconds)
+                clock = Clock(phase=0.5, rate=_RATE)
+                rest = resumed(problem, plan.best, clock, problem.movable)
+                planner.replan(plan, rest)
+                anew.append(timed(planner.replan, plan, rest)[0])
+            environment.close()
+            # The first scene may compile.
+            times = 1e3 * np.array([first, anew])[:, 1:]
+            ratio = np.median(times[1] / times[0])
+            shown = (f"{value:.0f}" for value in np.median(times, axis=1))
+            rows.append([task, str(times.shape[1]), *shown, f"{ratio:.2f}"])
+    finally:
+        torch.set_num_threads(before)
     return rows
 
 

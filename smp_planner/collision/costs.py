@@ -137,16 +137,12 @@ class CollisionCost:
     @cached_property
     def _map(self) -> tuple[NDArray[np.float32], NDArray[np.float32], np.float32, NDArray[Any]]:
         grid = self.grid
-        blocks = compiled.least_of_blocks(grid.values)
-        return grid.values, grid.origin.astype(np.float32), np.float32(1.0 / grid.spacing), blocks
+        origin, inverse = grid.origin.astype(np.float32), np.float32(1.0 / grid.spacing)
+        return grid.values, origin, inverse, grid.least_of_blocks
 
     @cached_property
     def _robot(self) -> SingleArrays:
         return self.robot.single()
-
-    @cached_property
-    def _truncation(self) -> float:
-        return float(self.grid.values.max())
 
     @property
     def summed_spheres(self) -> int:
@@ -203,7 +199,7 @@ class CollisionCost:
         """
         robot = self._robot
         reach = np.float32(margin + CUTOFF_WIDTHS * edge_width)
-        limit = np.minimum(robot.radius + reach, np.float32(self._truncation))
+        limit = np.minimum(robot.radius + reach, np.float32(self.grid.largest))
         compiled.map_collision(
             trajectories,
             first,

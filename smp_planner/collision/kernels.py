@@ -25,19 +25,15 @@ from __future__ import annotations
 import numpy as np
 
 from smp_gym.compiling import FAST, kernel
+from smp_planner.occupancy.grid import BLOCK
 
 __all__ = [
-    "BLOCK",
     "LANES",
     "joint_limits",
-    "least_of_blocks",
     "map_collision",
     "self_collision",
     "velocity_limits",
 ]
-
-BLOCK = 4
-"""Cells of the grid along each edge of a block that is passed over as a whole."""
 
 LANES = 128
 """Configurations that are taken through a kernel at once: what they need stays in the cache."""
@@ -207,38 +203,6 @@ def _add_values(total, steps, begin, count, weight, value):
             p, t = p + 1, 0
 
 
-@kernel
-def least_of_blocks(values):
-    """Return the least value that the interpolant takes in each block of `BLOCK`^3 cells.
-
-    Most spheres are far from everything; one lookup in this small grid tells.
-
-    Args:
-        values: (X,Y,Z) grid of distances, m.
-    """
-    nx, ny, nz = values.shape
-    columns = np.empty((nx, ny, (nz + BLOCK - 2) // BLOCK), np.float32)
-    planes = np.empty((nx, (ny + BLOCK - 2) // BLOCK, columns.shape[2]), np.float32)
-    least = np.empty(((nx + BLOCK - 2) // BLOCK, *planes.shape[1:]), np.float32)
-    # A node between two blocks counts for both.
-    for i in range(nx):
-        for j in range(ny):
-            for c in range(columns.shape[2]):
-                lowest = values[i, j, BLOCK * c]
-                for k in range(BLOCK * c + 1, min(BLOCK * c + BLOCK + 1, nz)):
-                    lowest = min(lowest, values[i, j, k])
-                columns[i, j, c] = lowest
-        for b in range(planes.shape[1]):
-            planes[i, b] = columns[i, BLOCK * b]
-            for j in range(BLOCK * b + 1, min(BLOCK * b + BLOCK + 1, ny)):
-                planes[i, b] = np.minimum(planes[i, b], columns[i, j])
-    for a in range(least.shape[0]):
-        least[a] = planes[BLOCK * a]
-        for i in range(BLOCK * a + 1, min(BLOCK * a + BLOCK + 1, nx)):
-            least[a] = np.minimum(least[a], planes[i])
-    return least
-
-
 @kernel(fastmath=FAST, error_model="numpy")
 def map_collision(
     trajectories, first, last, robot, grid, limit, edge_width, margin, weight, value, gradient
@@ -251,7 +215,7 @@ def map_collision(
         last: step after the last one.
         robot: as of `RobotModel.single`; spheres on link 0 do not move and are left out.
         grid: (X,Y,Z) signed distances in m, (3,) position of the first, 1/m inverse spacing, and
-            what `least_of_blocks` makes of them; all float32.
+            the least value of each of its blocks; all float32.
         limit: (S,) m, distance of the centre from which on a sphere costs nothing.
         edge_width: m.
         margin: m.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -34,10 +35,9 @@ __all__ = ["ProMP"]
 class ProMP:
     """A Gaussian over trajectories, y_t = Φ_t w with w ~ N(μ_w, Σ_w), Eq. (1).
 
-    Σ_w is kept as a factor L with Σ_w = L Lᵀ, so that w = μ_w + L z with z ~ N(0, I): exact
-    conditioning then takes columns away, and what was made certain stays certain to the last
-    digit. Whatever factor is given, the one kept has orthogonal columns in the order of falling
-    length, and none that are zero within rounding.
+    Σ_w is kept as a square root R with Σ_w = R Rᵀ: exact conditioning takes columns away, and what
+    was made certain stays certain to the last digit. `factor` is the square root L with orthogonal
+    columns, through which weights are whitened, w = μ_w + L z with z ~ N(0, I).
 
     Several primitives that share Σ_w are one `ProMP` whose mean has leading dimensions, as arise
     from conditioning on several values at once. To work with (B, P, K*D) weights of P particles in
@@ -46,7 +46,7 @@ class ProMP:
     Attributes:
         basis: K basis functions.
         mean: (..., K*D) μ_w.
-        factor: (K*D, r) L, r at most K*D.
+        root: (K*D, m) R, any square root of Σ_w.
         noise: (D, D) covariance Σ_y of the observation noise; (D,) is taken as its diagonal.
 
     Raises:
@@ -56,7 +56,7 @@ class ProMP:
 
     basis: GaussianBasis
     mean: Tensor
-    factor: Tensor
+    root: Tensor
     noise: Tensor
 
     def __post_init__(self) -> None:
@@ -69,16 +69,16 @@ class ProMP:
                 f"mean must have shape (..., K * D = {self.basis.count} * {dimension}), "
                 f"got {tuple(self.mean.shape)}"
             )
-        if self.factor.ndim != 2 or self.factor.shape[0] != size:
-            raise ValueError(f"factor must be ({size}, r), got {tuple(self.factor.shape)}")
-        for name in ("mean", "factor"):
+        if self.root.ndim != 2 or self.root.shape[0] != size:
+            raise ValueError(f"root must be ({size}, m), got {tuple(self.root.shape)}")
+        for name in ("mean", "root"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise ValueError(f"{name} must be finite, got NaN or infinity")
         noise = checked_covariance("noise", self.noise, dimension, self.mean)
         if not bool(torch.linalg.eigvalsh(noise)[0] > 0):
             raise ValueError(f"noise must be positive definite, got {noise}")
         object.__setattr__(self, "noise", noise)
-        object.__setattr__(self, "factor", orthogonal_columns(self.factor.to(self.mean)))
+        object.__setattr__(self, "root", self.root.to(self.mean))
 
     @classmethod
     def from_covariance(
@@ -139,9 +139,16 @@ class ProMP:
         added = smooth_covariance(
             basis, exact[0].shape[-1], smooth_std, smooth_length_scale, exact[0]
         )
-        factor = square_root(learned.covariance + added)
-        mean, factor, noise = (t.to(checked[0]) for t in (learned.mean, factor, learned.noise))
-        return cls(basis, mean, factor, noise)
+        root = square_root(learned.covariance + added)
+        mean, root, noise = (t.to(checked[0]) for t in (learned.mean, root, learned.noise))
+        return cls(basis, mean, root, noise)
+
+    @cached_property
+    def factor(self) -> Tensor:
+        """(K*D, r) L, its columns orthogonal, of falling length, and none zero within rounding."""
+        # Worked out when it is asked for: chains of conditioning need it at their end alone.
+        with one_thread():
+            return orthogonal_columns(self.root)
 
     @property
     def dimension(self) -> int:
@@ -156,7 +163,7 @@ class ProMP:
     @property
     def covariance(self) -> Tensor:
         """(K*D, K*D) Σ_w."""
-        return self.factor @ self.factor.mT
+        return self.root @ self.root.mT
 
     def broaden(self, covariance: Tensor) -> ProMP:
         """Return the primitive with `covariance`, (K*D, K*D), added to Σ_w.
@@ -165,7 +172,7 @@ class ProMP:
             ValueError: `covariance` is not a positive semi-definite matrix of that shape.
         """
         added = checked_covariance("covariance", covariance, self.mean.shape[-1], self.mean)
-        return replace(self, factor=torch.cat([self.factor, square_root(added)], -1))
+        return replace(self, root=torch.cat([self.root, square_root(added)], -1))
 
     def condition(
         self,
@@ -240,9 +247,9 @@ class ProMP:
             noise_factor = square_root(checked)
 
         innovation = value - self.mean @ rows.mT
-        stacked = torch.cat([rows @ self.factor, noise_factor], -1)
+        stacked = torch.cat([rows @ self.root, noise_factor], -1)
         left, singular, right = torch.linalg.svd(stacked, full_matrices=True)
-        scale = torch.linalg.matrix_norm(rows, 2) * self._largest_std() + noise_factor.norm()
+        scale = torch.linalg.matrix_norm(rows, 2) * self.root.norm() + noise_factor.norm()
         rank = int((singular > rounding(self.mean) * scale).sum())
 
         explained = innovation @ left[:, :rank]
@@ -253,9 +260,10 @@ class ProMP:
                 f"value {value} at {where} contradicts what is certain there: it is off by "
                 f"{unexplained.abs().max().item():.3g}"
             )
-        latent = (explained / singular[:rank]) @ right[:rank, : self.rank]
-        free = right[rank:, : self.rank].mT
-        return replace(self, mean=self.mean + latent @ self.factor.mT, factor=self.factor @ free)
+        columns = self.root.shape[1]
+        latent = (explained / singular[:rank]) @ right[:rank, :columns]
+        free = right[rank:, :columns].mT
+        return replace(self, mean=self.mean + latent @ self.root.mT, root=self.root @ free)
 
     def marginal(self, phase: float, *, derivative: bool = False) -> tuple[Tensor, Tensor]:
         """Return mean (..., D) and covariance (D, D) of the position or velocity at a phase.
@@ -263,7 +271,7 @@ class ProMP:
         The observation noise is not included.
         """
         rows = self._rows(phase, derivative)
-        half = rows @ self.factor
+        half = rows @ self.root
         return self.mean @ rows.mT, half @ half.mT
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
@@ -415,6 +423,3 @@ class ProMP:
     def _stds(self) -> Tensor:
         """Return the lengths of the orthogonal columns of L, (r,)."""
         return torch.linalg.vector_norm(self.factor, dim=0)
-
-    def _largest_std(self) -> Tensor:
-        return self._stds()[0] if self.rank else self.mean.new_zeros(())

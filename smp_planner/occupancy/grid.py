@@ -21,6 +21,7 @@ from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
 
 __all__ = [
+    "BLOCK",
     "SPACING",
     "WORKSPACE",
     "DistanceGrid",
@@ -36,6 +37,9 @@ WORKSPACE = ((-0.6, -0.95, -0.1), (0.95, 0.95, 1.2))
 
 SPACING = 0.015
 """Default distance of neighbouring nodes, m."""
+
+BLOCK = 4
+"""Cells of a grid along each edge of a block that may be passed over as a whole."""
 
 
 @kernel(inline="always")
@@ -95,6 +99,36 @@ def _lookup_all(values, origin, inv_spacing, points):  # type: ignore[no-untyped
     return distance, gradient
 
 
+@kernel
+def _least_of_blocks(values):  # type: ignore[no-untyped-def]
+    """Return the least value that the interpolant takes in each block of `BLOCK`^3 cells.
+
+    Args:
+        values: (X, Y, Z) m, each at least 2 nodes.
+    """
+    nx, ny, nz = values.shape
+    columns = np.empty((nx, ny, (nz + BLOCK - 2) // BLOCK), np.float32)
+    planes = np.empty((nx, (ny + BLOCK - 2) // BLOCK, columns.shape[2]), np.float32)
+    least = np.empty(((nx + BLOCK - 2) // BLOCK, *planes.shape[1:]), np.float32)
+    # A node between two blocks counts for both.
+    for i in range(nx):
+        for j in range(ny):
+            for c in range(columns.shape[2]):
+                lowest = values[i, j, BLOCK * c]
+                for k in range(BLOCK * c + 1, min(BLOCK * c + BLOCK + 1, nz)):
+                    lowest = min(lowest, values[i, j, k])
+                columns[i, j, c] = lowest
+        for b in range(planes.shape[1]):
+            planes[i, b] = columns[i, BLOCK * b]
+            for j in range(BLOCK * b + 1, min(BLOCK * b + BLOCK + 1, ny)):
+                planes[i, b] = np.minimum(planes[i, b], columns[i, j])
+    for a in range(least.shape[0]):
+        least[a] = planes[BLOCK * a]
+        for i in range(BLOCK * a + 1, min(BLOCK * a + BLOCK + 1, nx)):
+            least[a] = np.minimum(least[a], planes[i])
+    return least
+
+
 @dataclass(frozen=True)
 class DistanceGrid:
     """Signed distance at the nodes of a regular grid.
@@ -128,6 +162,19 @@ class DistanceGrid:
         """Lower and upper corner, m."""
         upper = self.origin + self.spacing * (np.array(self.values.shape) - 1)
         return tuple(self.origin.tolist()), tuple(upper.tolist())
+
+    @cached_property
+    def least_of_blocks(self) -> NDArray[np.float32]:
+        """Least value (A, B, C) m that `query` takes in each block of `BLOCK`^3 cells.
+
+        Most spheres are far from everything; one lookup in this small grid tells.
+        """
+        return np.asarray(_least_of_blocks(self.values))
+
+    @cached_property
+    def largest(self) -> float:
+        """Largest value, m."""
+        return float(self.values.max())
 
     @cached_property
     def steepness(self) -> float:

@@ -477,26 +477,29 @@ class ToolPath:
         """Return the primitive conditioned on the via-points, linearised where they are met.
 
         The most likely trajectory that passes them up to `VIA_STD` is found by Gauss-Newton in
-        whitened coordinates; about it the tool's place is taken to be linear in the weights
-        (Laplace's approximation).
+        the coordinates of the primitive's square root; about it the tool's place is taken to be
+        linear in the weights (Laplace's approximation).
         """
         dtype = primitive.mean.dtype
         places = np.array([via.position for via in self.via_points])
         identity = torch.eye(primitive.dimension, dtype=dtype)
         values = primitive.basis.values(torch.tensor(self.phases, dtype=dtype))
-        latent, unit = torch.zeros(primitive.rank, dtype=dtype), torch.eye(primitive.rank)
+        root = primitive.root
+        unit = torch.eye(root.shape[1], dtype=dtype)
+        latent = torch.zeros(root.shape[1], dtype=dtype)
         rows, value = torch.empty(0), torch.empty(0)
         for _ in range(_VIA_ITERATIONS):
-            q = (values @ primitive.unwhiten(latent).reshape(-1, primitive.dimension)).numpy()
+            weights = primitive.mean + root @ latent
+            q = (values @ weights.reshape(-1, primitive.dimension)).numpy()
             points, jacobians = (found[0] for found in self._carried(q[None]))
             target = places - points + np.einsum("kij,kj->ki", jacobians, q)
             jacobian = torch.from_numpy(np.ascontiguousarray(jacobians))
             by_joint = torch.einsum("kij,kb,jd->kibd", jacobian, values, identity)
             rows = by_joint.reshape(-1, primitive.mean.shape[-1])
             value = torch.from_numpy(target).ravel()
-            scaled = rows @ primitive.factor / VIA_STD
+            scaled = rows @ root / VIA_STD
             residual = (value - rows @ primitive.mean) / VIA_STD
-            latent = torch.linalg.solve(scaled.mT @ scaled + unit.to(dtype), scaled.mT @ residual)
+            latent = torch.linalg.solve(scaled.mT @ scaled + unit, scaled.mT @ residual)
         noise = torch.full((len(rows),), VIA_STD**2, dtype=dtype)
         return [(primitive.observe(rows, value, noise), 0.0)]
 

@@ -216,16 +216,19 @@ def _angles(points: FloatArray) -> FloatArray:
     """Return (N, T - 1) rad, the angle around the origin that each edge of (N, T, 2) sweeps."""
     a, b = points[:, :-1], points[:, 1:]
     cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return np.arctan2(cross, (a * b).sum(axis=-1))
+    return np.arctan2(cross, a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
 def _distances(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (N, T - 1) distances of edges of (N, T, 2) from the origin, and where on the edge."""
-    a, edge = points[:, :-1], np.diff(points, axis=1)
-    squares = np.square(edge).sum(axis=-1)
-    dots = -(a * edge).sum(axis=-1)
+    # Coordinate by coordinate: sums over an axis of two are slow.
+    x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
+    along_x, along_y, x, y = np.diff(x), np.diff(y), x[:, :-1], y[:, :-1]
+    squares = along_x * along_x + along_y * along_y
+    dots = -(x * along_x + y * along_y)
     share = np.clip(dots / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
-    return np.linalg.norm(a + share[..., None] * edge, axis=-1), share
+    x, y = x + share * along_x, y + share * along_y
+    return np.sqrt(x * x + y * y), share
 
 
 def _nearest_approach(across: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:

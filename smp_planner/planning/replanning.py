@@ -34,6 +34,7 @@ from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.planning.threads import Threads, default_threads
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["ITERATIONS", "LEAST_RATE", "direction", "replan", "resumed"]
@@ -237,7 +238,7 @@ def replan(
         )
     watch = Stopwatch()
     present = plan.chosen if particle is None else particle
-    with one_thread():
+    with Threads(default_threads()) as pool, one_thread():
         with watch.stage("conditioning"):
             components = prior.components()
             try:
@@ -264,7 +265,7 @@ def replan(
         target = None
         if isinstance(own, SteinSettings):
             with watch.stage("map"):
-                target = SceneTarget(problem, settings, maps=maps)
+                target = SceneTarget(problem, settings, threads=pool, maps=maps)
             with watch.stage("inference"):
                 parts = [_continued(part, target, own, settings, iterations) for part in parts]
         weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
@@ -283,7 +284,7 @@ def replan(
                 components=plan.components,
                 bonus=partial(_bonus, present),
             )
-    return replace(made, timings=watch.timings, state=PlanState(state.prior, problem, tuple(parts)))
+    return made.changed(timings=watch.timings, state=PlanState(state.prior, problem, tuple(parts)))
 
 
 def _continued(

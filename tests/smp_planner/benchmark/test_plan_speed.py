@@ -14,6 +14,7 @@ from smp_planner.benchmark.plan_speed import (
     growth,
     markdown,
     measure,
+    replans,
     stages_table,
 )
 from smp_planner.planning.constraints import Reaching, ToolPath
@@ -103,3 +104,10 @@ def test_the_growth_has_a_row_for_each_number():
         ["particles", number] for number in ("10", "42", "100", "300", "1000")
     ]
     assert all(float(row[2]) > 0.0 for row in rows[1:])
+
+
+def test_what_planning_anew_takes_is_set_beside_the_first_plan():
+    head, row = replans(["Placement"], "easy", range(40000, 40003))
+    assert head == ["task", "scenes", "plan, ms", "anew, ms", "ratio"]
+    assert row[:2] == ["Placement", "2"]
+    assert all(float(value) > 0.0 for value in row[2:])

@@ -10,7 +10,6 @@ from smp_gym.robot import kinematics
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.collision import autograd, costs
-from smp_planner.collision import kernels as compiled
 from smp_planner.collision.autograd import by_autograd
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
@@ -152,17 +151,6 @@ def test_collision_cost_falls_along_its_gradient(robot, grid):
     after, _ = cost(q - 1e-3 * gradient / np.maximum(norm, 1e-12), 0.05, 0.01)
     assert hit.any()
     assert (after < value)[hit].all()
-
-
-@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 6), (14, 8, 13)])
-def test_blocks_hold_the_least_value_of_their_cells(shape):
-    values = np.random.default_rng(5).normal(size=shape).astype(np.float32)
-    blocks = compiled.least_of_blocks(values)
-    size = compiled.BLOCK
-    assert blocks.shape == tuple(-(-(n - 1) // size) for n in shape)
-    for index in np.ndindex(blocks.shape):
-        nodes = tuple(slice(size * i, size * i + size + 1) for i in index)
-        assert blocks[index] == values[nodes].min()
 
 
 def test_spheres_outside_the_grid_take_its_boundary(robot):

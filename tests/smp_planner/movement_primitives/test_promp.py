@@ -542,15 +542,15 @@ def test_bad_conditions_are_errors(phase, value, covariance, message):
     [
         ({"mean": torch.zeros(13).double()}, r"mean must have shape \(\.\.\., K \* D = 7 \* 2\)"),
         ({"mean": torch.full((14,), math.nan).double()}, "mean must be finite"),
-        ({"factor": torch.zeros(13, 2).double()}, r"factor must be \(14, r\)"),
-        ({"factor": torch.full((14, 2), math.inf).double()}, "factor must be finite"),
+        ({"root": torch.zeros(13, 2).double()}, r"root must be \(14, m\)"),
+        ({"root": torch.full((14, 2), math.inf).double()}, "root must be finite"),
         ({"noise": torch.zeros(2).double()}, "noise must be positive definite"),
         ({"noise": ASYMMETRIC}, "noise must be symmetric"),
         ({"noise": torch.tensor(1.0)}, r"noise must be \(D,\) or \(D, D\)"),
     ],
 )
 def test_a_primitive_that_does_not_fit_together_is_an_error(change, message):
-    good = {"mean": torch.zeros(14), "factor": torch.eye(14), "noise": torch.ones(2)}
+    good = {"mean": torch.zeros(14), "root": torch.eye(14), "noise": torch.ones(2)}
     with pytest.raises(ValueError, match=message):
         ProMP(BASIS, **{**good, **change})
 

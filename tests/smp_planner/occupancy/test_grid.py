@@ -12,6 +12,7 @@ from smp_gym.geometry.distance import signed_distance
 from smp_gym.scene import TABLE, Goal, Obstacle, Scene, fixtures
 from smp_planner.occupancy.analytic import AnalyticMap
 from smp_planner.occupancy.grid import (
+    BLOCK,
     SPACING,
     WORKSPACE,
     DistanceGrid,
@@ -227,3 +228,13 @@ def test_redistancing_of_one_sign_is_the_truncation() -> None:
     assert (redistance(-np.ones((4, 4, 4)), 0.1, 0.2) == np.float32(0.2)).all()
     with pytest.raises(ValueError, match="finite array with 3 axes"):
         redistance(np.full((4, 4, 4), np.nan), 0.1, 0.2)
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 6), (14, 8, 13)])
+def test_blocks_hold_the_least_value_of_their_cells(shape):
+    values = np.random.default_rng(5).normal(size=shape).astype(np.float32)
+    blocks = DistanceGrid(np.zeros(3), 0.1, values).least_of_blocks
+    assert blocks.shape == tuple(-(-(n - 1) // BLOCK) for n in shape)
+    for index in np.ndindex(blocks.shape):
+        nodes = tuple(slice(BLOCK * i, BLOCK * i + BLOCK + 1) for i in index)
+        assert blocks[index] == values[nodes].min()
