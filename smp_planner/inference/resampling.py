@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import logsumexp
 
 from smp_gym.arrays import FloatArray
 
@@ -17,7 +16,8 @@ __all__ = ["effective_size", "resampled", "temperature_rise"]
 
 def effective_size(log_weights: FloatArray) -> float:
     """Return the effective sample size (Σ W)² / Σ W² of log-weights (P,), in [1, P]."""
-    return float(np.exp(2.0 * logsumexp(log_weights) - logsumexp(2.0 * log_weights)))
+    weights = _weights(log_weights)
+    return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
 def temperature_rise(log_likelihood: FloatArray, left: float, effective: float) -> float:
@@ -43,6 +43,12 @@ def resampled(log_weights: FloatArray, count: int, rng: np.random.Generator) -> 
         count: how many are chosen.
         rng: source of all randomness.
     """
-    weights = np.exp(log_weights - logsumexp(log_weights))
+    weights = _weights(log_weights)
+    weights /= weights.sum()
     positions = (rng.uniform() + np.arange(count)) / count
     return np.minimum(np.searchsorted(np.cumsum(weights), positions), len(weights) - 1)
+
+
+def _weights(log_weights: FloatArray) -> FloatArray:
+    """Return weights (P,), the largest of them 1."""
+    return np.asarray(np.exp(log_weights - log_weights.max()))
