@@ -13,13 +13,13 @@ import typer
 
 from smp_gym.atomic_files import write_text
 from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_planner.benchmark.markdown_table import markdown_table
 from smp_planner.benchmark.options import chosen_names, one_of, run_command, tell, whole_numbers
 from smp_planner.benchmark.plan_speed import (
     Measurement,
     Variant,
     compared,
     growth,
-    markdown,
     measure,
     replans,
     stages_table,
@@ -91,7 +91,7 @@ def main(
         tables.append(replans(chosen, difficulty, range(first_seed, first_seed + anew + 1)))
     if grow:
         tables.append(growth())
-    text = "\n\n".join(markdown(table) for table in tables) + "\n"
+    text = "\n\n".join(markdown_table(table) for table in tables) + "\n"
     tell(text)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -22,9 +22,7 @@ from smp_planner.benchmark.options import (
     pooled,
     tuning_seeds,
 )
-from smp_planner.benchmark.results_folder import ResultsError
-from smp_planner.experiments import arm_posterior, arm_settings
-from smp_planner.experiments.kept_results import kept_results
+from smp_planner.experiments import arm_settings
 from smp_planner.experiments.svgd_settings import VARIANTS, Ground, settings_columns, settings_rows
 from smp_planner.experiments.tables import report
 from smp_planner.inference import SETTINGS
@@ -113,57 +111,6 @@ def arm(
         "primitive conditioned on the scene's start and goal."
     )
     report(rows, ("task", "prior", "variant"), arm_settings.COLUMNS, out, "arm", note)
-
-
-@app.command()
-def posterior(
-    out: _Out = Path("results/svgd_settings"),
-    tasks: Names = "",
-    methods: Annotated[
-        str,
-        typer.Option(
-            help=f"Of {'; '.join(arm_posterior.METHODS)}, separated by semicolons. Default: all."
-        ),
-    ] = "",
-    difficulty: _Difficulty = "medium",
-    scenes: _Scenes = 10,
-    seed: _Seed = 79_000,
-    jobs: Jobs = 1,
-) -> None:
-    """Hold particle sets of all methods against the posterior, on unselected scenes.
-
-    The posterior is drawn from by sequential Monte Carlo, twice for each scene: the second run
-    gives the noise floor. A scene takes about half a minute of one core, and is kept in
-    OUT/posterior_scenes.json as it ends: the same command continues, also with more scenes.
-
-    Example: python scripts/svgd_settings.py posterior --tasks DrawS --methods "smp;cpromp"
-    """
-    one_of(difficulty, DIFFICULTIES, "--difficulty")
-    names = [name.strip() for name in methods.split(";") if name.strip()]
-    for name in names:
-        one_of(name, tuple(arm_posterior.METHODS), "--methods")
-    names = names or list(arm_posterior.METHODS)
-    cells = arm_posterior.cells_of(
-        chosen_names(tasks, TASKS, "--tasks"), difficulty, tuning_seeds(seed, scenes), names
-    )
-    try:
-        found = kept_results(
-            out / "posterior_scenes.json",
-            {"difficulty": difficulty, "methods": names},
-            arm_posterior.measure_cell,
-            {f"{cell.task} {cell.seed}": cell for cell in cells},
-            "scenes",
-            Console(),
-            jobs,
-        )
-    except ResultsError as error:
-        raise typer.BadParameter(str(error), param_hint="--out") from error
-    rows = [row for of_scene in found.values() for row in of_scene]
-    note = (
-        f"Mean ± standard deviation over {scenes} unselected scenes of difficulty {difficulty}, "
-        f"seeds from {seed} on; one plan each."
-    )
-    report(rows, ("task", "method"), arm_posterior.COLUMNS, out, "posterior", note)
 
 
 if __name__ == "__main__":

@@ -45,6 +45,7 @@ EXAMPLES = [
         "train_agent",
         "train_shape_maps",
         "tune_methods",
+        "unselected_scenes",
     )
     for command in WITH_COMMANDS.get(name, (None,))
 ]

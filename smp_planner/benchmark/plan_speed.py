@@ -43,7 +43,6 @@ __all__ = [
     "busy_neighbours",
     "compared",
     "growth",
-    "markdown",
     "measure",
     "replans",
     "stages_table",
@@ -347,10 +346,3 @@ def _finer(robot: RobotModel, times: int) -> RobotModel:
     offsets = count * np.stack(np.meshgrid(copies, copies), axis=-1).reshape(-1, 1, 2)
     pairs = (robot.collision_pairs[None] + offsets).reshape(-1, 2)
     return replace(robot, spheres=spheres, collision_pairs=pairs)
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows, the first of them the head, as a table in Markdown."""
-    head, *body = rows
-    lines = [head, ["---"] * len(head), *body]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from smp_gym.atomic_files import write_text
+from smp_planner.benchmark.markdown_table import markdown_table
 from smp_planner.benchmark.results_folder import write_table
 
 __all__ = ["Column", "Row", "Spread", "print_table", "report", "summarise", "write_tables"]
@@ -157,14 +158,9 @@ def write_tables(
         for s in summaries
     ]
     write_text(out / f"{name}.json", json.dumps(plain, indent=1) + "\n")
-    lines = ["| " + " | ".join(column.title for column in columns) + " |"]
-    lines.append("|" + "---|" * len(columns))
-    for summary in summaries:
-        cells = (column.text(summary[column.name]) for column in columns)
-        lines.append("| " + " | ".join(cells) + " |")
-    if note:
-        lines += ["", note]
-    write_text(out / f"{name}.md", "\n".join(lines) + "\n")
+    texts = [[column.text(summary[column.name]) for column in columns] for summary in summaries]
+    parts = [markdown_table([[column.title for column in columns], *texts]), note]
+    write_text(out / f"{name}.md", "\n\n".join(part for part in parts if part) + "\n")
 
 
 def report(

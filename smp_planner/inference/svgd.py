@@ -193,6 +193,9 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
         "no_choice": replace(_TEMPERED, overdraw=1),
         "no_resampling": replace(_TEMPERED, resampling=0.0),
         "no_moves": replace(_TEMPERED, moves=0),
+        "tempered_no_repulsion": replace(_TEMPERED, repulsion=False),
+        "tempered_no_annealing": replace(_TEMPERED, annealing=0.0),
+        "tempered_imq": replace(_TEMPERED, kernel=InverseMultiquadric()),
         "no_repulsion": replace(_DEFAULT, repulsion=False),
         "raw": replace(_DEFAULT, whiten=False),
         "median_over_log": replace(_DEFAULT, kernel=RBF(median_over_log_bandwidth)),
@@ -205,9 +208,10 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
 """The settings that are compared: ours, the paper's, ours in half as many iterations (averages of
 fewer iterations, so that what was learned of wide edges is forgotten, and longer steps), particles
 as a population that competes on its path from the prior to the posterior ("tempered"), and the same
-without the choice among draws, without resampling, without the moves at the end. The rest is ours
+without the choice among draws, without resampling, without the moves at the end, without repulsion,
+without annealing, with another kernel (inverse multi-quadric). The rest is ours
 with one thing changed: particles on their own, raw weights, the paper's bandwidth, another kernel
-(inverse multi-quadric, or of the distance of paths, whose metric `SVGDSettings.with_metric` gives),
+(that one, or of the distance of paths, whose metric `SVGDSettings.with_metric` gives),
 no annealing, or cycles of it."""
 
 

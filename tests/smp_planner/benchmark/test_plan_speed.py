@@ -7,12 +7,12 @@ import torch
 from smp_gym.robot.kinematics import finger_spheres
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.benchmark.autograd_planner import AutogradTarget
+from smp_planner.benchmark.markdown_table import markdown_table
 from smp_planner.benchmark.plan_speed import (
     Measurement,
     Variant,
     compared,
     growth,
-    markdown,
     measure,
     replans,
     stages_table,
@@ -86,7 +86,7 @@ def test_variants_are_compared_scene_by_scene():
     assert new[head.index("good") + 1].startswith("+0.125")
     assert dict(zip(head, old, strict=True))["of the reference"] == "1.000"
     assert stages_table(found)[2] == ["T", "new", "62", "562", "625"]
-    assert markdown([["a", "b"], ["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
+    assert markdown_table([["a", "b"], ["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
 
 
 def test_a_plan_is_measured_in_a_process_of_its_own():

@@ -1,4 +1,4 @@
-"""Particle sets against the posterior of a scene: the distance, the draws, the rows."""
+"""Draws of the posterior of a scene, and the distance of sets to it."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,7 @@ from scipy.stats import energy_distance as one_dimensional
 
 from smp_gym.sampling import sample_scene
 from smp_planner.benchmark.metrics import energy_distance, rms_distances
-from smp_planner.experiments.arm_posterior import (
-    COLUMNS,
-    FLOOR,
-    PosteriorCell,
-    measure_cell,
-    posterior_draws,
-)
+from smp_planner.experiments.arm_posterior import posterior_draws
 from smp_planner.inference.smc import SMCSettings
 from smp_planner.planners import make_planner
 
@@ -59,13 +53,3 @@ def test_where_nothing_is_in_the_way_the_posterior_is_the_conditioned_prior(plac
     assert found == pytest.approx(energy_distance(draws[:, ::10], plain[:, ::10]))
     shuffled = [energy(rng.permutation(len(both))) for _ in range(99)]
     assert found < np.quantile(shuffled, 0.99)
-
-
-def test_rows_hold_what_the_table_shows():
-    cell = PosteriorCell("Placement", "easy", 79_004, ("smp", "quick SVGD"))
-    rows = measure_cell(cell, SMCSettings(300, moves=4, last_moves=20))
-    assert [row["method"] for row in rows] == [FLOOR, "smp", "quick SVGD"]
-    for row in rows:
-        assert {column.name for column in COLUMNS} <= row.keys()
-        assert row["good"] > 80.0 or row["method"] == "quick SVGD"
-    assert abs(rows[0]["energy"]) < rows[2]["energy"]
