@@ -37,6 +37,7 @@ EXAMPLES = [
         "measure_maps",
         "motion_durations",
         "particle_figures",
+        "prior_rules",
         "run_notebook",
         "speed_costs",
         "speed_env",
