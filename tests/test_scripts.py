@@ -44,6 +44,7 @@ EXAMPLES = [
         "svgd_settings",
         "table_two",
         "train_agent",
+        "train_cloning",
         "train_shape_maps",
         "tune_methods",
         "unselected_scenes",

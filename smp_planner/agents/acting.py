@@ -30,6 +30,13 @@ from smp_planner.planners.card_file import shipped_agent
 
 __all__ = ["RandomActions", "ViewingAgent", "load_shipped", "load_zip"]
 
+_TRAINED_BY = {
+    "sac_her": "train_agent.py",
+    "cloning": "train_cloning.py --agent cloning",
+    "distilled": "train_cloning.py",
+}
+"""Scripts that train the agents whose actors are shipped."""
+
 _ACTIONS = spaces.Box(-1.0, 1.0, (7,), np.float32)
 
 
@@ -142,7 +149,7 @@ def load_shipped(name: str, task: str) -> ViewingAgent:
     except FileNotFoundError as error:
         raise ValueError(
             f"no agent {name} is shipped for {task} ({error.filename}): train one with "
-            "scripts/train_agent.py, and name its final.zip as name=path.zip"
+            f"scripts/{_TRAINED_BY[name]}, then write it there with scripts/ship_agent.py"
         ) from None
     own = observation_space(task)
     space = spaces.Dict({key: own[key] for key in card.entries})

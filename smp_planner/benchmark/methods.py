@@ -27,7 +27,7 @@ from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = ["AGENTS", "Acting", "known_methods_and_agents", "resolve_method"]
 
-SHIPPED = ("sac_her",)
+SHIPPED = ("sac_her", "cloning", "distilled")
 """Agents whose actors are shipped, see `smp_planner.agents.actor_file`."""
 
 AGENTS = ("random", *SHIPPED)
