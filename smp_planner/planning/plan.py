@@ -80,6 +80,8 @@ class Plan:
         standing_free: (P,) as `collision_free`, but for obstacles that move.
         apart: (P,) m, as `clearance`, of obstacles that move alone; None where none does.
         signals: what demonstrations recorded beside coordinates, as functions of phase, by name.
+        history: the particles on their way, as plans, by the number of iterations of inference that
+            were behind them; 0 are those that inference began with. Empty unless it was asked for.
         state: from which the planner can go on (`smp_planner.planning.replanning`); None if it
             cannot.
     """
@@ -103,6 +105,7 @@ class Plan:
     standing_free: BoolArray | None = None
     apart: FloatArray | None = None
     signals: Mapping[str, Callable[[FloatArray], FloatArray]] = field(default_factory=dict)
+    history: Mapping[int, Plan] = field(default_factory=dict)
     state: Any = None
 
     @classmethod
