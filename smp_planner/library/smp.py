@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -25,6 +26,7 @@ from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
 from smp_planner.library.joint_angles import JointAngles, refuse_quaternions, unwrapped
+from smp_planner.library.link_meshes import link_meshes
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.overdetermined import refuse_overdetermined
 from smp_planner.library.reading import demonstrations_of, recordings_of
@@ -326,6 +328,7 @@ def _display_of(robot: Robot | None, demonstrations: Sequence[FloatArray]) -> di
         "tool_demonstrations": [robot.tool_positions(path) for path in demonstrations],
         "joints": robot.joints,
         "model": robot.model,
+        "meshes": partial(link_meshes, robot),
     }
 
 
