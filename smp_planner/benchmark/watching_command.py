@@ -9,22 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from smp_planner.benchmark.cell_options import (
-    Difficulty,
-    Family,
-    Latency,
-    Lists,
-    Noise,
-    ReplanEvery,
-    Sensing,
-    fail,
-    replanning,
-)
-from smp_planner.benchmark.drawing_command import Half, Method, one_episode
+from smp_planner.benchmark.cell_options import fail
+from smp_planner.benchmark.one_episode import plays_one_episode
 
 if TYPE_CHECKING:
     from smp_gym.rollout import Policy
     from smp_planner.benchmark.episodes import EpisodeKey, PlayMethods
+    from smp_planner.benchmark.manifest import Manifest
     from smp_planner.planning.viewer import Exhibit
 
 __all__ = ["exhibit_of_episode", "watch"]
@@ -104,18 +95,10 @@ def _check_history(policy: Policy, method: str, history: int) -> None:
     checked_history(history, planner.adaptation)
 
 
+@plays_one_episode
 def watch(
-    task: Annotated[str, typer.Option(help="Name of the task.")] = "Placement",
-    method: Method = "smp",
-    difficulty: Difficulty = None,
-    family: Family = None,
-    sensing: Sensing = None,
-    noise: Noise = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
-    half: Half = "",
-    lists: Lists = None,
-    replan_every: ReplanEvery = None,
-    latency: Latency = None,
+    manifest: Manifest,
+    key: EpisodeKey,
     history: Annotated[
         int | None,
         typer.Option(
@@ -147,15 +130,12 @@ def watch(
         require("viewer", "smp-bench watch", "viser")
     except ModuleNotFoundError as error:
         raise fail(str(error), 2) from None
-    single = {"difficulty": difficulty, "family": family, "sensing": sensing, "noise": noise}
     try:
         socket.getaddrinfo(host, port)
     except (OSError, UnicodeError) as error:
         raise typer.BadParameter(
             f"is no address: {error}, got {host!r}", param_hint="--host"
         ) from None
-    replanned = replanning(replan_every, latency)
-    manifest, key = one_episode(task, method, seed, half, lists, single, replanned)
     with Console(stderr=True).status("playing the episode"):
         exhibit = exhibit_of_episode(manifest.player, key, history)
     page = show(exhibit, host=host, port=port)

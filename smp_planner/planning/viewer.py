@@ -157,7 +157,7 @@ class _Surroundings:
             return cls(
                 plan.display.get("model"),
                 [body for body in given if isinstance(body, Obstacle)],
-                clouds=[body.points for body in given if not isinstance(body, Obstacle)],
+                clouds=[body.points for body in given if hasattr(body, "points")],
             )
         model = problem.body.model if isinstance(problem.body, RobotBody) else None
         solid = dict.fromkeys(body for stage in problem.stages for body in stage.obstacles)
