@@ -46,6 +46,8 @@ _ROBOT, _GOAL = "#7f8c9b", "#c9a227"
 _STEPS = 200
 """Most places of the slider."""
 
+_SETTLED = "After the last iteration."
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -93,7 +95,7 @@ class Exhibit:
         motions: by name; the first is shown when the page opens.
         meshes: of the links that `Motion.poses` are of, shown in place of the spheres.
         on_the_way: particles before an iteration, lines by label, by the number of iterations
-            behind them; ascending.
+            behind them; at equal distances from 0 on.
     """
 
     title: str
@@ -326,7 +328,7 @@ def _add_iterations(
 ) -> None:
     """Add particles on their way, and a slider that shows them in place of the settled ones."""
     stops: list[list[Any]] = []
-    titles = []
+    titles = {}
     for iteration, each in exhibit.on_the_way.items():
         shown = []
         for label, lines in each.items():
@@ -335,24 +337,26 @@ def _add_iterations(
             nodes[name].visible = False
             shown.append(nodes[name])
         stops.append(shown)
-        titles.append(f"After {iteration} iterations: {', '.join(each)}.")
+        titles[iteration] = f"After {iteration} iterations: {', '.join(each)}."
     settled = [
         (nodes[f"lines/{label.replace('/', '-')}"], controls[label])
         for label, lines in exhibit.lines.items()
         if lines.settled and label in controls
     ]
-    last = len(stops)
-    slider = server.gui.add_slider("iterations", 0, last, step=1, initial_value=last)
-    text = server.gui.add_markdown("After the last iteration.")
+    numbers = list(exhibit.on_the_way)
+    step = max(numbers[-1] - numbers[-2], 1) if len(numbers) > 1 else 1
+    last = numbers[-1] + step
+    slider = server.gui.add_slider("iterations", 0, last, step=step, initial_value=last)
+    text = server.gui.add_markdown(_SETTLED)
 
     def move(_: Any) -> None:
         with server.atomic():
-            for stop, shown in enumerate(stops):
+            for number, shown in zip(numbers, stops, strict=True):
                 for node in shown:
-                    node.visible = stop == slider.value
+                    node.visible = number == slider.value
             for node, box in settled:
                 node.visible = box.value and slider.value == last
-        text.content = titles[slider.value] if slider.value < last else "After the last iteration."
+        text.content = titles.get(slider.value, _SETTLED)
 
     slider.on_update(move)
     for _, box in settled:

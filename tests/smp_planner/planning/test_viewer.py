@@ -140,14 +140,15 @@ def test_particles_on_their_way_are_on_a_slider(served):
         return [settled.visible, *(all(n.visible for n in nodes) for nodes in of_stops)]
 
     assert visible() == [True, False, False]
-    page.controls["iterations"].value = 1
+    page.controls["iterations"].value = 2
     assert until(lambda: visible() == [False, False, True])
     assert "After 2 iterations: " in page.controls["of iterations"].content
     page.controls["iterations"].value = 0
     assert until(lambda: visible() == [False, True, False])
     # What is hidden by its box stays hidden at the end.
     page.controls["chosen particle"].value = False
-    page.controls["iterations"].value = 2
+    page.controls["iterations"].value = 4
+    assert until(lambda: "the last" in page.controls["of iterations"].content)
     assert until(lambda: visible() == [False, False, False])
     assert page.nodes["lines/demonstrations: 4"].visible
 
