@@ -63,8 +63,13 @@ def write_folder(
     """
     cells = tuple(Cell(task, "hard") for task in tasks)
     specs = {method: method for method in methods}
-    settings = {"versions": {"numpy": "2.4.6"}, "code": "d0de2010cfedd9c0", "specs": specs}
-    made = Manifest(cells, tuple(methods), FIRST_SEED, episodes, **{**settings, **manifest})
+    settings: dict[str, Any] = {
+        "versions": {"numpy": "2.4.6"},
+        "code": "d0de2010cfedd9c0",
+        "specs": specs,
+    }
+    settings |= {"seed": FIRST_SEED, **manifest}
+    made = Manifest(cells, tuple(methods), episodes=episodes, **settings)
     keys = set(made.episode_keys())
     rows = [row for row in map(change, real_rows()) if row.key in keys]
     with EpisodeStore(folder, made) as store:

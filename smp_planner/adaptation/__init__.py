@@ -53,6 +53,8 @@ class Adaptation:
             are.
         timely: whether `adapt` takes a last argument ``until``, a time of `time.perf_counter`, by
             which it returns what it has.
+        recorded: whether `adapt` and `jointly` take an argument ``record``, which is told the
+            particles of each iteration.
         jointly: carries the draws of all parts of one problem to its target together, as
             `tempered_stein`, where the settings' `competes` says so; None if no settings do.
     """
@@ -60,12 +62,15 @@ class Adaptation:
     settings: BaseModel
     adapt: Adapt | None
     timely: bool = False
+    recorded: bool = False
     jointly: Callable[..., list[Tensor]] | None = None
 
 
 ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
     {
-        "smp": Adaptation(SteinSettings(), stein, timely=True, jointly=tempered_stein),
+        "smp": Adaptation(
+            SteinSettings(), stein, timely=True, recorded=True, jointly=tempered_stein
+        ),
         "promp": Adaptation(Unadapted(), None),
         "cpromp": Adaptation(VariationalSettings(), gaussian_vi),
         "prompt_o": Adaptation(OptimisedMeanSettings(), optimised_mean),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -154,8 +154,11 @@ def stein(
     settings: SteinSettings,
     good: Good | None = None,
     until: float = math.inf,
+    record: Callable[[int, Tensor], None] | None = None,
 ) -> Tensor:
     """Return particles (B, P, r) after the last iteration; an `Adapt`, which draws nothing.
+
+    `record` is told the particles before each iteration, and its number; it must not change them.
 
     Where time runs short there are fewer iterations: after each, their number is set to what the
     mean time of those so far leaves room for, and the schedules to that number, so that particles
@@ -176,6 +179,8 @@ def stein(
         if iterations < inference.iterations:
             inference = replace(inference, iterations=iterations)
         particles = state.particles
+        if record is not None:
+            record(state.iteration, whitened(particles))
         state = iterate(runs, state, target, inference)
         if ask:
             before, after = whitened(particles), whitened(state.particles)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -167,6 +167,7 @@ def tempered_stein(
     settings: SteinSettings,
     count: int,
     until: float = math.inf,
+    record: Callable[[int, list[Tensor]], None] | None = None,
 ) -> list[Tensor]:
     """Return the particles of the parts of one problem after the last move.
 
@@ -180,6 +181,8 @@ def tempered_stein(
         settings: of the run.
         count: P, particles of all parts together, at most ΣN_c.
         until: time of `time.perf_counter` by which to return.
+        record: is told the particles of each part before each iteration, and its number; the first
+            time those that were chosen of the draws. It must not change them.
 
     Returns:
         (P_c, r_c) of each part, P in sum; a part that no particle is left of has none.
@@ -208,6 +211,8 @@ def tempered_stein(
             iterations = fewer
             for part in population.parts:
                 part.inference = replace(part.inference, iterations=iterations)
+        if record is not None:
+            record(iteration, [torch.from_numpy(part.particles) for part in population.parts])
         for part in population.present:
             part.evaluate()
         if inference.annealing > 0.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -67,7 +67,8 @@ class JoinedResults:
         sources: the folders.
         cells: of all of them, in order of appearance.
         methods: of all of them, in order of appearance. A method that two folders hold of the same
-            episodes, or of other settings, is two methods, ``NAME@FOLDER``.
+            episodes, or of other settings, is two methods, ``NAME@FOLDER``; so is one that
+            `join_results` is to keep apart.
         rows: by method and episode, in the order of the cells and then of seeds.
         origins: number in `sources` of the folder of each row.
     """
@@ -125,11 +126,12 @@ def suite_of(cell: Cell) -> str:
     return own or home_suite(cell) or SINGLE_CELLS
 
 
-def join_results(folders: Sequence[Path]) -> JoinedResults:
+def join_results(folders: Sequence[Path], apart: Collection[str] = ()) -> JoinedResults:
     """Read folders of results, finished or not, and join their rows.
 
     Args:
         folders: at least one.
+        apart: methods that are another one in each folder, whatever the folders hold.
 
     Raises:
         ResultsError: a folder is given twice or cannot be read, frozen lists are of different
@@ -155,7 +157,8 @@ def join_results(folders: Sequence[Path]) -> JoinedResults:
         method
         for manifest, _ in read
         for method in manifest.methods
-        if _differs(method, [(m, rows) for m, rows in read if method in m.methods])
+        if method in apart
+        or _differs(method, [(m, rows) for m, rows in read if method in m.methods])
     }
     joined: dict[str, dict[Episode, EpisodeRow]] = {}
     origins: dict[str, dict[Episode, int]] = {}

@@ -25,6 +25,7 @@ from smp_planner.benchmark.statistics import (
     mean_interval,
     paired_difference,
     rate_interval,
+    ratio_interval,
 )
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "WORSE",
     "Comparison",
     "MotionTimes",
+    "ReplanTimes",
     "SolveTimes",
     "Times",
     "compare_methods",
@@ -66,7 +68,48 @@ class SolveTimes:
     @classmethod
     def of(cls, rows: Sequence[EpisodeRow]) -> SolveTimes:
         """Return the percentiles of rows, at least one."""
-        return cls(*map(float, np.percentile([row.planning_time for row in rows], [50, 75, 98])))
+        return cls(*_percentiles([row.planning_time for row in rows]))
+
+
+def _percentiles(seconds: Sequence[float]) -> tuple[float, float, float]:
+    median, p75, p98 = map(float, np.percentile(seconds, [50, 75, 98]))
+    return median, p75, p98
+
+
+@dataclass(frozen=True)
+class ReplanTimes:
+    """Plans that a method made anew, and their times, s.
+
+    Attributes:
+        replans: median of how many there are in an episode.
+        failed: share of all of them that held no good particle.
+        median: of the times of one of them, which rows hold as the mean of an episode.
+        p75: 75th percentile.
+        p98: 98th percentile.
+        of_first: time of one as a share of that of the first plan of its episode, geometric mean
+            over the episodes; None where the first took none.
+    """
+
+    replans: float
+    failed: float
+    median: float
+    p75: float
+    p98: float
+    of_first: Estimate | None
+
+    @classmethod
+    def of(cls, rows: Sequence[EpisodeRow]) -> ReplanTimes | None:
+        """Return the times of rows; None if no plan was made anew."""
+        replanned = [row for row in rows if row.replans]
+        if not replanned:
+            return None
+        times = [row.replanning_time for row in replanned]
+        return cls(
+            float(np.median([row.replans for row in rows])),
+            sum(row.failed_replans for row in rows) / sum(row.replans for row in rows),
+            *_percentiles(times),
+            _ratio([(row.replanning_time, row.planning_time) for row in replanned]),
+        )
 
 
 @dataclass(frozen=True)
@@ -106,17 +149,41 @@ class Times:
         first_solve: times of planning of the first method.
         second_solve: of the second.
         motion: times of motion; None where no episode is solved by both.
+        solve_ratio: time of planning of the first over that of the second, geometric mean over the
+            episodes; None where one plans nothing.
+        first_replans: plans that the first method made anew; None if it made none.
+        second_replans: those of the second.
+        replan_ratio: time of one plan made anew, as `solve_ratio`, over the episodes in which both
+            made some; None if there is no such.
     """
 
     first_solve: SolveTimes
     second_solve: SolveTimes
     motion: MotionTimes | None
+    solve_ratio: Estimate | None = None
+    first_replans: ReplanTimes | None = None
+    second_replans: ReplanTimes | None = None
+    replan_ratio: Estimate | None = None
 
     @classmethod
     def of(cls, pairs: Sequence[tuple[EpisodeRow, EpisodeRow]]) -> Times:
         """Return the times of pairs of rows, at least one."""
         first, second = zip(*pairs, strict=True)
-        return cls(SolveTimes.of(first), SolveTimes.of(second), MotionTimes.of(pairs))
+        return cls(
+            SolveTimes.of(first),
+            SolveTimes.of(second),
+            MotionTimes.of(pairs),
+            _ratio([(one.planning_time, other.planning_time) for one, other in pairs]),
+            ReplanTimes.of(first),
+            ReplanTimes.of(second),
+            _ratio([(one.replanning_time, other.replanning_time) for one, other in pairs]),
+        )
+
+
+def _ratio(times: Sequence[tuple[float, float]]) -> Estimate | None:
+    """Return the ratio of pairs of times, s, of which both are there: what was not done took 0."""
+    done = [pair for pair in times if min(pair) > 0.0]
+    return ratio_interval(*zip(*done, strict=True)) if done else None
 
 
 @dataclass(frozen=True)
@@ -234,7 +301,10 @@ def compare_methods(results: JoinedResults, first: str, second: str) -> list[Com
         raise ResultsError(f"two methods are compared, got {first!r} twice")
     episodes = results.common((first, second))
     if not episodes:
-        raise ResultsError(f"{first!r} and {second!r} have played no episode in common")
+        raise ResultsError(
+            f"{first!r} and {second!r} have played no episode in common: the first "
+            f"{_played(results, first)}; the second {_played(results, second)}"
+        )
     comparisons: list[Comparison] = []
     partitions: list[set[frozenset[Episode]]] = []
     for level in LEVELS:
@@ -249,6 +319,15 @@ def compare_methods(results: JoinedResults, first: str, second: str) -> list[Com
                 ]
             )
     return comparisons
+
+
+def _played(results: JoinedResults, method: str) -> str:
+    """Return what a method has played, in words."""
+    seeds: dict[str, list[int]] = {}
+    for episode in results.rows[method]:
+        half = f" ({episode.half})" if episode.half else ""
+        seeds.setdefault(f"{episode.cell.name}{half}", []).append(episode.seed)
+    return ", ".join(f"{name} {min(own)}–{max(own)}" for name, own in seeds.items())
 
 
 def compare_pairs(

@@ -23,6 +23,7 @@ __all__ = [
     "mean_interval",
     "paired_difference",
     "rate_interval",
+    "ratio_interval",
 ]
 
 CONFIDENCE = 0.95
@@ -78,6 +79,27 @@ def mean_interval(values: Sequence[float]) -> Estimate:
         if math.isfinite(interval.low) and math.isfinite(interval.high):
             low, high = float(interval.low), float(interval.high)
     return {"count": len(data), "value": mean, "low": low, "high": high}
+
+
+def ratio_interval(first: Sequence[float], second: Sequence[float]) -> Estimate:
+    """Return the geometric mean of paired ratios with the interval of `mean_interval`.
+
+    Args:
+        first: numerators, at least one, positive.
+        second: denominators, as many, positive.
+
+    Raises:
+        ValueError: a number is not positive and finite, or there are not as many of both.
+    """
+    above, below = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    for name, values in (("first", above), ("second", below)):
+        if not (np.isfinite(values) & (values > 0.0)).all():
+            raise ValueError(f"{name} must be positive and finite, got {values.tolist()}")
+    if above.shape != below.shape:
+        raise ValueError(f"ratios need pairs, got {len(above)} of first, {len(below)} of second")
+    logarithm = mean_interval(list(np.log(above / below)))
+    ends = {name: math.exp(logarithm[name]) for name in ("value", "low", "high")}
+    return {"count": logarithm["count"], **ends}
 
 
 @dataclass(frozen=True)

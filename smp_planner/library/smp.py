@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -25,6 +26,7 @@ from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
 from smp_planner.library.joint_angles import JointAngles, refuse_quaternions, unwrapped
+from smp_planner.library.link_meshes import link_meshes
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.overdetermined import refuse_overdetermined
 from smp_planner.library.reading import demonstrations_of, recordings_of
@@ -35,7 +37,7 @@ from smp_planner.library.signals import Recorded
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot
 from smp_planner.movement_primitives import ProMP, ProMPMixture
-from smp_planner.planning.pipeline import checked_deadline, plan_problems
+from smp_planner.planning.pipeline import checked_deadline, checked_history, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
 from smp_planner.planning.settings import MOST_PARTICLES, PlanSettings, PriorSettings
@@ -218,6 +220,7 @@ class SMP:
         per_component: bool = True,
         settings: AdaptSettings | None = None,
         deadline: float | None = None,
+        history: int | None = None,
     ) -> Plan:
         """Return particles of the primitive, adapted to a scene.
 
@@ -243,6 +246,9 @@ class SMP:
             deadline: s from the call, until when to adapt; the plan then depends on the machine.
                 The map is made whole, so much it may be late; see
                 `smp_planner.planning.pipeline.plan_problems`. None by default.
+            history: iterations after which particles are kept on their way, each time as a plan in
+                `Plan.history`, which `Plan.watch` has a slider for; None keeps none. The plan is
+                the same in any case. Needs the method "smp", and no deadline.
 
         Raises:
             ValueError: an argument out of range, of another dimension than the demonstrations, or
@@ -256,7 +262,7 @@ class SMP:
         if not isinstance(settings, PlanSettings):
             raise ValueError(f"settings must be AdaptSettings, got {shown(settings)}")
         how = _adaptation(method)
-        deadline = checked_deadline(deadline, how)
+        deadline, history = checked_deadline(deadline, how), checked_history(history, how)
         particles = checked_count("particles", particles, most=MOST_PARTICLES)
         settings = settings.model_copy(update={"particles": particles})
         seed, radius = checked_seed(seed), checked_number("radius", radius, least=0.0)
@@ -282,7 +288,7 @@ class SMP:
         if deadline is not None:
             # What is over already leaves the least time there is.
             deadline = max(deadline - (time.perf_counter() - begin), 1e-6)
-        (plan,) = plan_problems([problem], prior, how, settings, deadline=deadline)
+        (plan,) = plan_problems([problem], prior, how, settings, deadline=deadline, history=history)
         return self._outwards(plan, obstacles, reading)
 
     def _outwards(self, plan: Plan, obstacles: Sequence[PathObstacle], reading: float) -> Plan:
@@ -298,6 +304,10 @@ class SMP:
             signals=self.signals,
             missed={name: scale * value for name, value in plan.missed.items()},
             timings=timings,
+            history={
+                iteration: self._outwards(earlier, obstacles, 0.0)
+                for iteration, earlier in plan.history.items()
+            },
             display={
                 "demonstrations": self.demonstrations,
                 "obstacles": tuple(obstacles),
@@ -318,6 +328,7 @@ def _display_of(robot: Robot | None, demonstrations: Sequence[FloatArray]) -> di
         "tool_demonstrations": [robot.tool_positions(path) for path in demonstrations],
         "joints": robot.joints,
         "model": robot.model,
+        "meshes": partial(link_meshes, robot),
     }
 
 

@@ -21,7 +21,7 @@ from smp_planner.collision.verification import LIMIT_TOLERANCE
 from smp_planner.library.covering import MOST_SPHERES, cover_link
 from smp_planner.library.timed_trajectory import TimedTrajectory, timed
 from smp_planner.library.timing_settings import TimingSettings
-from smp_planner.library.urdf_reading import Description, Joint, Link, read_description
+from smp_planner.library.urdf_reading import Description, Joint, Link, Shape, read_description
 
 __all__ = ["Robot"]
 
@@ -43,6 +43,9 @@ class Robot:
         standing: where other joints stand, rad or m, by name: those held, those that mimic them,
             and those beside the chain. Fixed ones are left out.
         base_links: (4, 4) poses in the root link of all links that do not move, by name.
+        visuals: what is seen of it, shapes with the number of the link of `model` that each is
+            fixed to; of links without visual shapes, or with one that cannot be read, it is the
+            collision shapes. Files of `SMP.save` do not hold them.
     """
 
     model: RobotModel
@@ -50,6 +53,7 @@ class Robot:
     continuous: tuple[bool, ...] = ()
     standing: Mapping[str, float] = field(default_factory=dict)
     base_links: Mapping[str, FloatArray] = field(default_factory=dict)
+    visuals: tuple[tuple[int, Shape], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
@@ -372,7 +376,12 @@ def _assembled(
     }
     base_links = {name: pose for name, (index, pose) in placed.items() if index == 0}
     continuous = tuple(joint.kind == "continuous" for joint in chain)
-    return Robot(model, names, continuous, standing, base_links)
+    visuals = tuple(
+        (index, replace(shape, origin=pose @ shape.origin))
+        for name, (index, pose) in placed.items()
+        for shape in links[name].visuals or links[name].shapes
+    )
+    return Robot(model, names, continuous, standing, base_links, visuals)
 
 
 def _turning_z_to(axis: FloatArray) -> FloatArray:

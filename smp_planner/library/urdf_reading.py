@@ -82,7 +82,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Shape:
-    """A collision shape of a link.
+    """A collision or visual shape of a link.
 
     Attributes:
         kind: "box", "cylinder", "sphere" or "mesh".
@@ -106,11 +106,14 @@ class Link:
         name: of the link.
         shapes: collision shapes.
         visible: whether it has a visual shape.
+        visuals: visual shapes; none where one of them cannot be read or is not there, for planning
+            needs none.
     """
 
     name: str
     shapes: tuple[Shape, ...]
     visible: bool
+    visuals: tuple[Shape, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -300,7 +303,18 @@ def _link(element: ET.Element, folders: _Folders) -> Link:
         _shape(collision, f"a collision of link {name!r}", folders)
         for collision in element.findall("collision")
     )
-    return Link(name, shapes, element.find("visual/geometry/*") is not None)
+    visible = element.find("visual/geometry/*") is not None
+    return Link(name, shapes, visible, _visuals(element, name, folders))
+
+
+def _visuals(element: ET.Element, name: str, folders: _Folders) -> tuple[Shape, ...]:
+    try:
+        return tuple(
+            _shape(visual, f"a visual of link {name!r}", folders)
+            for visual in element.findall("visual")
+        )
+    except (OSError, ValueError):
+        return ()
 
 
 def _shape(collision: ET.Element, where: str, folders: _Folders) -> Shape:

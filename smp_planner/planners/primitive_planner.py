@@ -97,6 +97,7 @@ class PrimitivePlanner:
         own: OwnCosts | None = None,
         deadline: float | None = None,
         threads: int | None = None,
+        history: int | None = None,
     ) -> list[Plan]:
         """Return one plan for each problem; without a deadline, the same problem gives the same.
 
@@ -112,13 +113,15 @@ class PrimitivePlanner:
             own: costs of one's own by name, each a weight and a function in torch; see `OwnCost`.
             deadline: s, and `threads`: see `smp_planner.planning.pipeline.plan_problems`.
             threads: that share the particles, without a device.
+            history: iterations after which particles are kept on their way, in `Plan.history`; see
+                there, too.
 
         Raises:
             UnreachableError: a goal is out of reach.
             ValueError: there is no such device, or it cannot plan these problems together or with
                 this method; a cost of one's own is none, or clashes with another's name;
-                `deadline` is not a positive number, or the method or device keeps none; or
-                `threads` is not a positive integer.
+                `deadline` is not a positive number, or the method or device keeps none;
+                `threads` or `history` is not a positive integer; or particles cannot be kept.
         """
         costs = checked_own_costs(own)
         if costs and self.adaptation.adapt is None:
@@ -136,6 +139,7 @@ class PrimitivePlanner:
             device=found,
             deadline=deadline,
             threads=threads,
+            history=history,
         )
 
     def replan(self, plan: Plan, problem: Problem, particle: int | None = None) -> Plan:

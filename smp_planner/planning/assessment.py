@@ -348,6 +348,7 @@ def make_plan(
         weights=weights,
         components=components,
         apart=checks.apart,
+        display={"problem": problem},
     )
     if checks.ended_early and not checks.solved:
         return plan.changed(

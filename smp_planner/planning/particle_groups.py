@@ -12,10 +12,18 @@ from smp_gym.arrays import IntArray
 if TYPE_CHECKING:
     from smp_planner.planning.plan import Plan
 
-__all__ = ["CHOSEN", "DEMONSTRATED", "OBSTACLE", "ParticleGroup", "particle_groups"]
+__all__ = [
+    "CHOSEN",
+    "DEMONSTRATED",
+    "EXECUTED",
+    "OBSTACLE",
+    "ParticleGroup",
+    "groups_on_the_way",
+    "particle_groups",
+]
 
-CHOSEN, DEMONSTRATED, OBSTACLE = "#f28c1c", "#c0392b", "#444444"
-"""Colours of the chosen particle, of demonstrations and of obstacles."""
+CHOSEN, DEMONSTRATED, OBSTACLE, EXECUTED = "#f28c1c", "#c0392b", "#444444", "#00b3ff"
+"""Colours of the chosen particle, of demonstrations, of obstacles, and of what was executed."""
 
 _CLASSES = ("#1b7f4b", "#2b4c9b", "#8e44ad", "#0f9aa8", "#b5651d", "#c2307a")
 _OTHERS, _NOT_GOOD = "#5b6770", "#9aa0a6"
@@ -58,3 +66,31 @@ def particle_groups(plan: Plan) -> Iterator[ParticleGroup]:
     bad = np.flatnonzero(~plan.good)
     if len(bad):
         yield ParticleGroup(bad, _NOT_GOOD, False, f"not good: {len(bad)}")
+
+
+def groups_on_the_way(plan: Plan, earlier: Plan) -> Iterator[ParticleGroup]:
+    """Yield the groups of particles on their way, in the colours that their classes have at last.
+
+    Args:
+        plan: that they became.
+        earlier: one of its `history`.
+    """
+    known = {
+        tuple(plan.signatures[member]): each
+        for each in particle_groups(plan)
+        if each.good
+        for member in each.members
+    }
+    found: dict[tuple[str, str], list[int]] = {}
+    for index, (good, signature) in enumerate(zip(earlier.good, earlier.signatures, strict=True)):
+        each = known.get(tuple(signature))
+        if not good:
+            name, color = "not good", _NOT_GOOD
+        elif each is None:
+            name, color = "other classes", _OTHERS
+        else:
+            name, color = each.label.partition(":")[0], each.color
+        found.setdefault((name, color), []).append(index)
+    for (name, color), members in sorted(found.items()):
+        label = f"{name}: {len(members)}"
+        yield ParticleGroup(np.array(members), color, name != "not good", label)

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from smp_gym.arrays import BoolArray, FloatArray
+from smp_gym.arrays import BoolArray, FloatArray, checked_count
 from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.adaptation import Adaptation, Runs, SteinSettings
 from smp_planner.movement_primitives import ProMP
@@ -45,6 +45,7 @@ __all__ = [
     "PlanState",
     "Stopwatch",
     "checked_deadline",
+    "checked_history",
     "condition",
     "conditioned_parts",
     "plan_problems",
@@ -72,6 +73,27 @@ def checked_deadline(deadline: Any, adaptation: Adaptation | None = None) -> flo
     if adaptation is not None and adaptation.adapt is not None and not adaptation.timely:
         raise ValueError(f"deadline must be None for this adaptation, got {deadline}")
     return float(deadline)
+
+
+def checked_history(history: Any, adaptation: Adaptation) -> int | None:
+    """Return after how many iterations particles are kept, or None if they are not.
+
+    Args:
+        history: as it was given.
+        adaptation: that is to say where particles are.
+
+    Raises:
+        ValueError: it is not a positive whole number, or the adaptation does not say.
+    """
+    if history is None:
+        return None
+    count = checked_count("history", history)
+    if not adaptation.recorded:
+        raise ValueError(
+            f"history must be None for this adaptation, whose particles go through no iterations "
+            f"that could be kept; got {count}"
+        )
+    return count
 
 
 class Stopwatch:
@@ -236,7 +258,19 @@ def conditioned_parts(
 
 @dataclass(eq=False)
 class _Attempt:
-    """State of a problem that is being planned."""
+    """State of a problem that is being planned.
+
+    Attributes:
+        problem: to be solved.
+        stopwatch: of its stages.
+        target: its costs.
+        parts: its particles.
+        best: plan of the best try.
+        done: whether there is to be no other try.
+        drawn: the parts of this try before their adaptation.
+        passed: where particles of this try were, by index of the part in `drawn` and iteration.
+        stops: the parts of the best try on their way, by iteration.
+    """
 
     problem: Problem
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
@@ -244,6 +278,27 @@ class _Attempt:
     parts: list[Part] = field(default_factory=list)
     best: Plan | None = None
     done: bool = False
+    drawn: list[Part] = field(default_factory=list)
+    passed: dict[int, dict[int, Tensor]] = field(default_factory=dict)
+    stops: dict[int, list[Part]] = field(default_factory=dict)
+
+    def record(self, part: int, iteration: int, latent: Tensor) -> None:
+        """Keep the particles (P_c, r) of a part before an iteration."""
+        self.passed.setdefault(part, {})[iteration] = latent.clone()
+
+    def stopped(self) -> dict[int, list[Part]]:
+        """Return the parts as they were before the iterations that were kept, by iteration.
+
+        A part that took fewer iterations than another stays where it was last.
+        """
+        found: dict[int, list[Part]] = {}
+        for iteration in sorted({number for own in self.passed.values() for number in own}):
+            found[iteration] = []
+            for index, own in self.passed.items():
+                latest = own[max(number for number in own if number <= iteration)]
+                if len(latest):
+                    found[iteration].append(replace(self.drawn[index], latent=latest))
+        return found
 
 
 def plan_problems(
@@ -256,6 +311,7 @@ def plan_problems(
     threads: int | None = None,
     own: Mapping[str, tuple[float, OwnCost]] = MappingProxyType({}),
     device: DevicePlanner | None = None,
+    history: int | None = None,
 ) -> list[Plan]:
     """Return one plan for each problem; without a deadline, the same problem gives the same plan.
 
@@ -278,16 +334,24 @@ def plan_problems(
             not depend on it.
         own: costs of one's own by name, each with its weight.
         device: what adapts and checks all problems together; None does it problem by problem.
+        history: iterations after which particles are kept on their way, as plans of their own in
+            `Plan.history`, whose checks count in no timing; None keeps none. The plan itself is the
+            same in any case.
 
     Raises:
         UnreachableError: a goal is out of reach.
         ValueError: a problem is of another dimension than the demonstrations; `deadline` is not a
             positive number, or the adaptation or a device cannot keep one; `threads` is not a
-            positive integer; or the problems cannot be planned together on a device.
+            positive integer; `history` is not one, the adaptation has no iterations, or there is a
+            device or a deadline; or the problems cannot be planned together on a device.
     """
     begin = time.perf_counter()
     until = math.inf
     deadline = checked_deadline(deadline, adaptation)
+    history = checked_history(history, adaptation)
+    if history is not None and (deadline is not None or device is not None):
+        other = "on a device" if deadline is None else f"with a deadline, {deadline} s"
+        raise ValueError(f"history must be None {other}, got {history}")
     if deadline is not None:
         if device is not None:
             raise ValueError(f"deadline must be None on a device, got {deadline}")
@@ -319,19 +383,28 @@ def plan_problems(
                 _draw(attempt, prior, wanted, 2.0**number)
             open_ = [attempt for attempt in open_ if not attempt.done]
             if device is None:
-                _adapt(open_, adaptation, settings, until)
+                _adapt(open_, adaptation, settings, until, history)
                 plans = [_plan_of(attempt, prior, settings, until) for attempt in open_]
             else:
                 plans = _on_device(open_, prior, adaptation, settings, own, device)
             for attempt, plan in zip(open_, plans, strict=True):
                 if attempt.best is None or plan.solved:
-                    attempt.best = plan
+                    attempt.best, attempt.stops = plan, attempt.stopped()
                 attempt.done = attempt.best.solved
-    chosen = []
-    for attempt in attempts:
-        assert attempt.best is not None
-        chosen.append(attempt.best.changed(timings=attempt.stopwatch.timings))
-    return chosen
+        return [_chosen(attempt, prior, settings) for attempt in attempts]
+
+
+def _chosen(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
+    """Return the plan of the best try, with its times and its history."""
+    assert attempt.best is not None
+    timings = dict(attempt.stopwatch.timings)
+    if not attempt.stops:
+        return attempt.best.changed(timings=timings)
+    history = {
+        iteration: _plan_of(replace(attempt, parts=parts, stopwatch=Stopwatch()), prior, settings)
+        for iteration, parts in attempt.stops.items()
+    }
+    return attempt.best.changed(timings=timings, history=history)
 
 
 def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float) -> None:
@@ -347,13 +420,19 @@ def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float)
 
 
 def _adapt(
-    attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings, until: float
+    attempts: Sequence[_Attempt],
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    until: float,
+    history: int | None,
 ) -> None:
     """Carry the particles of attempts to their targets, equal parts together."""
     if adaptation.adapt is None:
         return
+    for attempt in attempts:
+        attempt.passed, attempt.drawn = {}, list(attempt.parts)
     if _competes(adaptation):
-        _adapt_jointly(attempts, adaptation, settings, until)
+        _adapt_jointly(attempts, adaptation, settings, until, history)
         return
     groups: dict[tuple[int, ...], list[tuple[_Attempt, int]]] = {}
     separate = getattr(adaptation.settings, "separate", False)
@@ -373,11 +452,13 @@ def _adapt(
             for (attempt, _), part in zip(group, parts, strict=True)
         ]
 
-        timely = {}
+        timely: dict[str, Any] = {}
         if until < math.inf:
             # The groups that are left share the time that is left, but for what comes after.
             left = (1.0 - _RESERVED) * (until - begin)
             timely["until"] = begin + left / (len(groups) - number)
+        if history is not None:
+            timely["record"] = partial(_record_runs, group, history)
         latent = adaptation.adapt(
             runs,
             torch.stack([part.latent for part in parts]),
@@ -393,6 +474,22 @@ def _adapt(
             attempt.stopwatch.add("inference", seconds)
 
 
+def _record_runs(
+    group: Sequence[tuple[_Attempt, int]], history: int, iteration: int, latent: Tensor
+) -> None:
+    """Keep the particles (B, P, r) of runs, each of a part of an attempt, if it is their turn."""
+    if iteration % history == 0:
+        for (attempt, index), own in zip(group, latent, strict=True):
+            attempt.record(index, iteration, own)
+
+
+def _record_parts(attempt: _Attempt, history: int, iteration: int, latent: list[Tensor]) -> None:
+    """Keep the particles of all parts of an attempt, if it is their turn."""
+    if iteration % history == 0:
+        for index, own in enumerate(latent):
+            attempt.record(index, iteration, own)
+
+
 def _nth(width: float) -> tuple[int, ...]:
     """Return what a width adds to the seed of a part's generator."""
     return () if width == 1.0 else (round(1000 * width),)
@@ -404,7 +501,11 @@ def _competes(adaptation: Adaptation) -> bool:
 
 
 def _adapt_jointly(
-    attempts: Sequence[_Attempt], adaptation: Adaptation, settings: PlanSettings, until: float
+    attempts: Sequence[_Attempt],
+    adaptation: Adaptation,
+    settings: PlanSettings,
+    until: float,
+    history: int | None,
 ) -> None:
     """Carry the particles of each attempt to its target, all parts as one population."""
     assert adaptation.jointly is not None
@@ -413,6 +514,9 @@ def _adapt_jointly(
         left = until
         if until < math.inf:
             left = begin + (1.0 - _RESERVED) * (until - begin) / (len(attempts) - number)
+        recording: dict[str, Any] = {}
+        if history is not None:
+            recording["record"] = partial(_record_parts, attempt, history)
         with attempt.stopwatch.stage("inference"):
             found = adaptation.jointly(
                 [Runs.of([part.primitive], settings.planning_steps) for part in attempt.parts],
@@ -422,6 +526,7 @@ def _adapt_jointly(
                 adaptation.settings,
                 settings.particles,
                 left,
+                **recording,
             )
         attempt.parts = [
             replace(part, latent=latent)

@@ -75,11 +75,13 @@ class Plan:
             where there is but one.
         timings: seconds of each stage of planning by name, in order.
         message: empty, or why no particle is good.
-        display: what `plot` draws beside the trajectories, by name.
+        display: what `plot` and `watch` show beside the trajectories, by name.
         tool_paths: (P, T, 3) m, the paths of a robot's tool, where they were asked for.
         standing_free: (P,) as `collision_free`, but for obstacles that move.
         apart: (P,) m, as `clearance`, of obstacles that move alone; None where none does.
         signals: what demonstrations recorded beside coordinates, as functions of phase, by name.
+        history: the particles on their way, as plans, by the number of iterations of inference that
+            were behind them; 0 are those that inference began with. Empty unless it was asked for.
         state: from which the planner can go on (`smp_planner.planning.replanning`); None if it
             cannot.
     """
@@ -103,6 +105,7 @@ class Plan:
     standing_free: BoolArray | None = None
     apart: FloatArray | None = None
     signals: Mapping[str, Callable[[FloatArray], FloatArray]] = field(default_factory=dict)
+    history: Mapping[int, Plan] = field(default_factory=dict)
     state: Any = None
 
     @classmethod
@@ -217,20 +220,25 @@ class Plan:
 
         return draw_joints(self)
 
-    def watch(self, *, host: str = "127.0.0.1", port: int = 8080) -> Any:
+    def watch(self, *, executed: Any = None, host: str = "127.0.0.1", port: int = 8080) -> Any:
         """Show paths in space, or a robot's, in the browser; returns the `viewer.Page`.
 
+        Where the plan has a `history`, a slider shows the particles on their way.
+
         Args:
+            executed: (T, D) trajectory that was executed, shown beside the planned ones; None for
+                none.
             host: address that is listened on; "0.0.0.0" lets other machines see the page.
             port: if it is taken, the next free one is.
 
         Raises:
-            ValueError: the paths are neither in space nor of a robot.
+            ValueError: the paths are neither in space nor of a robot, or `executed` is of another
+                dimension than the plan.
             ModuleNotFoundError: viser is not installed.
         """
         from smp_planner.planning.viewer import exhibit_of, show
 
-        return show(exhibit_of(self), host=host, port=port)
+        return show(exhibit_of(self, executed), host=host, port=port)
 
     def _repr_png_(self) -> bytes | None:
         """Return the plan as a notebook shows it, a picture; None where matplotlib is missing."""

@@ -2,8 +2,9 @@
 
     page = show(exhibit_of(plan), port=8080)
 
-Shown are obstacles, demonstrations, the particles in the colours of their homotopy classes, and the
-robot as the spheres that the planner checks, moved by a slider along one of several trajectories.
+Shown are obstacles, demonstrations, the particles in the colours of their homotopy classes, on a
+slider those on their way (`Plan.history`), and the robot by its links or as the spheres that the
+planner checks, moved by another slider along one of several trajectories.
 The page is served by viser (extra ``viewer``), to this machine alone unless another host is named.
 """
 
@@ -15,28 +16,37 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_array
 from smp_gym.geometry.faces import body_faces
 from smp_gym.optional_packages import require
-from smp_gym.scene import Obstacle
+from smp_gym.scene import TABLE, Obstacle
+from smp_planner.planning.bodies import RobotBody
+from smp_planner.planning.link_mesh import LinkMesh
 from smp_planner.planning.particle_groups import (
     CHOSEN,
     DEMONSTRATED,
+    EXECUTED,
     OBSTACLE,
+    groups_on_the_way,
     particle_groups,
 )
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
+    from smp_planner.collision.robot_model import RobotModel
     from smp_planner.planning.plan import Plan
+    from smp_planner.planning.problem import Problem
 
-__all__ = ["Exhibit", "Lines", "Motion", "Page", "exhibit_of", "lines_of", "show"]
+__all__ = ["Exhibit", "Lines", "Motion", "Page", "exhibit_of", "motion_of", "show"]
 
 _ROBOT, _GOAL = "#7f8c9b", "#c9a227"
 _STEPS = 200
 """Most places of the slider."""
+
+_SETTLED = "After the last iteration."
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,24 +57,29 @@ class Lines:
         paths: (T_j, 3) m each.
         color: "#rrggbb".
         width: of the lines, pixels.
+        settled: whether they are particles after the last iteration, which are not shown while
+            those on their way are.
     """
 
     paths: FloatArray | Sequence[FloatArray]
     color: str
     width: float = 1.5
+    settled: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A trajectory of a robot's spheres.
+    """A trajectory of a robot's spheres and links.
 
     Attributes:
         centers: (T, S, 3) m.
         radii: (S,) m.
+        poses: (T, L, 4, 4) of its links; None if only the spheres are known.
     """
 
     centers: FloatArray
     radii: FloatArray
+    poses: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +93,9 @@ class Exhibit:
         goals: bodies in another colour.
         clouds: points (N, 3) m each.
         motions: by name; the first is shown when the page opens.
+        meshes: of the links that `Motion.poses` are of, shown in place of the spheres.
+        on_the_way: particles before an iteration, lines by label, by the number of iterations
+            behind them; at equal distances from 0 on.
     """
 
     title: str
@@ -86,6 +104,8 @@ class Exhibit:
     goals: Sequence[Obstacle] = ()
     clouds: Sequence[FloatArray] = ()
     motions: Mapping[str, Motion] = field(default_factory=dict)
+    meshes: Sequence[LinkMesh] = ()
+    on_the_way: Mapping[int, Mapping[str, Lines]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +115,8 @@ class Page:
     Attributes:
         server: of viser; to it more can be added.
         nodes: viser's handles of what is shown, by name: "obstacles/0", "goals/0", "clouds/0",
-            "lines/LABEL", "robot/0" for the first sphere, and so on.
+            "lines/LABEL", "robot/0" for the first sphere, "links/0" for the first mesh,
+            "iterations/20/LABEL" for particles after 20 iterations, and so on.
         controls: its handles of the controls, by label.
     """
 
@@ -113,52 +134,108 @@ class Page:
         self.server.stop()
 
 
-def lines_of(
-    plan: Plan, paths: FloatArray, demonstrations: FloatArray | Sequence[FloatArray]
-) -> dict[str, Lines]:
-    """Return lines of demonstrations, of particles by homotopy class, and of the chosen one.
+@dataclass(frozen=True, eq=False)
+class _Surroundings:
+    """What there is to show beside the particles of a plan.
 
-    Args:
-        plan: whose particles they are.
-        paths: (P, T, 3) m, the path of each that is shown.
-        demonstrations: (T_j, 3) m each.
+    Attributes:
+        model: of the robot; None for paths in space.
+        obstacles: bodies.
+        goals: bodies that the task brings, but for the table.
+        clouds: points (N, 3) m each.
     """
-    lines = {f"demonstrations: {len(demonstrations)}": Lines(demonstrations, DEMONSTRATED)}
-    for group in particle_groups(plan):
-        lines[group.label] = Lines(paths[group.members], group.color)
-    lines["chosen particle"] = Lines(paths[[plan.chosen]], CHOSEN, 5.0)
-    return lines
+
+    model: RobotModel | None
+    obstacles: Sequence[Obstacle]
+    goals: Sequence[Obstacle] = ()
+    clouds: Sequence[FloatArray] = ()
+
+    @classmethod
+    def of(cls, plan: Plan) -> _Surroundings:
+        """Return those of a plan."""
+        problem: Problem | None = plan.display.get("problem")
+        if problem is None:
+            given = plan.display.get("obstacles", ())
+            return cls(
+                plan.display.get("model"),
+                [body for body in given if isinstance(body, Obstacle)],
+                clouds=[body.points for body in given if hasattr(body, "points")],
+            )
+        model = problem.body.model if isinstance(problem.body, RobotBody) else None
+        solid = dict.fromkeys(body for stage in problem.stages for body in stage.obstacles)
+        goals = [body for body in solid if body not in problem.movable and body != TABLE]
+        return cls(model, problem.movable, goals)
 
 
-def exhibit_of(plan: Plan) -> Exhibit:
-    """Return the content of a page for a plan of the user's own paths in space or robot.
+def motion_of(model: RobotModel, trajectory: FloatArray) -> Motion:
+    """Return the motion of a robot along a trajectory (T, n) rad."""
+    configurations = torch.as_tensor(np.array(trajectory, np.float64))
+    return Motion(
+        model.sphere_centers(configurations).numpy(),
+        model.radius,
+        model.link_transforms(configurations).numpy(),
+    )
+
+
+def exhibit_of(plan: Plan, executed: Any = None, point: FloatArray | None = None) -> Exhibit:
+    """Return the content of a page for a plan of paths in space or of a robot.
+
+    Obstacles that move are where they were seen first.
 
     Args:
-        plan: of `smp_planner.SMP`.
+        plan: of `smp_planner.SMP`, or of a planner or policy in an environment.
+        executed: (T, D) trajectory that was executed; None for none.
+        point: (3,) m, fixed in the end-effector frame of a robot, whose paths are shown; by default
+            the frame's origin, the tool.
 
     Raises:
-        ValueError: its paths are not in space, nor of a robot.
+        ValueError: its paths are not in space, nor of a robot; or `executed` is not finite, or of
+            another dimension.
     """
-    paths, demonstrated = plan.tool_paths, "tool_demonstrations"
-    if paths is None:
-        paths, demonstrated = plan.trajectories, "demonstrations"
-    if paths.shape[-1] != 3:
+    beside = _Surroundings.of(plan)
+    model, dimension = beside.model, plan.trajectories.shape[-1]
+    if model is None and dimension != 3:
         raise ValueError(
             "only paths in space and of robots can be shown in three dimensions, got "
-            f"D = {paths.shape[-1]}; plot draws paths in the plane"
+            f"D = {dimension}; plot draws paths in the plane"
         )
-    obstacles = plan.display.get("obstacles", ())
+
+    def path(trajectories: FloatArray) -> FloatArray:
+        if model is None:
+            return np.asarray(trajectories)
+        return model.carried_points(trajectories, np.zeros(3) if point is None else point)[0]
+
+    demonstrated = plan.display.get("tool_demonstrations")
+    if demonstrated is None:
+        demonstrated = [path(each) for each in plan.display.get("demonstrations", ())]
+    paths = path(plan.trajectories)
+    lines = {f"demonstrations: {len(demonstrated)}": Lines(demonstrated, DEMONSTRATED)}
+    for each in particle_groups(plan):
+        lines[each.label] = Lines(paths[each.members], each.color, settled=True)
+    lines["chosen particle"] = Lines(paths[[plan.chosen]], CHOSEN, 5.0, settled=True)
+    trajectories = {"chosen particle": plan.best}
+    if executed is not None:
+        trajectories["executed"] = checked_array("executed", executed, (None, dimension))
+        lines["executed"] = Lines([path(trajectories["executed"])], EXECUTED, 5.0)
     motions = {}
-    if (model := plan.display.get("model")) is not None:
-        centers = model.sphere_centers(torch.as_tensor(plan.best)).numpy()
-        motions["chosen particle"] = Motion(centers, model.radius)
+    if model is not None:
+        motions = {name: motion_of(model, each) for name, each in trajectories.items()}
     good = int(plan.good.sum())
     return Exhibit(
         title=f"{good} of {len(paths)} particles are good, in {plan.modes.count} classes.",
-        lines=lines_of(plan, paths, plan.display.get(demonstrated, ())),
-        obstacles=[body for body in obstacles if isinstance(body, Obstacle)],
-        clouds=[body.points for body in obstacles if not isinstance(body, Obstacle)],
+        lines=lines,
+        obstacles=beside.obstacles,
+        goals=beside.goals,
+        clouds=beside.clouds,
         motions=motions,
+        meshes=plan.display["meshes"]() if "meshes" in plan.display else (),
+        on_the_way={
+            iteration: {
+                each.label: Lines(path(earlier.trajectories[each.members]), each.color)
+                for each in groups_on_the_way(plan, earlier)
+            }
+            for iteration, earlier in plan.history.items()
+        },
     )
 
 
@@ -202,8 +279,10 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
             # A slash in a name would make a node of its own.
             name = f"lines/{label.replace('/', '-')}"
             nodes[name], controls[label] = _add_lines(server, name, label, lines)
+    if exhibit.on_the_way:
+        _add_iterations(server, exhibit, nodes, controls)
     if exhibit.motions:
-        _add_robot(server, exhibit.motions, nodes, controls)
+        _add_robot(server, exhibit, nodes, controls)
     return Page(server, nodes, controls)
 
 
@@ -223,14 +302,7 @@ def _look_at(server: ViserServer, paths: Sequence[FloatArray]) -> None:
 
 def _add_lines(server: ViserServer, name: str, label: str, lines: Lines) -> tuple[Any, Any]:
     """Add lines, and a box that shows and hides them; return the handles of both."""
-    pieces = [np.stack([path[:-1], path[1:]], axis=1) for path in lines.paths]
-    node = server.scene.add_line_segments(
-        name,
-        np.concatenate(pieces).astype(np.float32),
-        colors=_rgb(lines.color),
-        thickness=lines.width,
-        thickness_units="screen",
-    )
+    node = _segments(server, name, lines)
     box = server.gui.add_checkbox(label, initial_value=True)
 
     @box.on_update
@@ -240,13 +312,63 @@ def _add_lines(server: ViserServer, name: str, label: str, lines: Lines) -> tupl
     return node, box
 
 
-def _add_robot(
-    server: ViserServer,
-    motions: Mapping[str, Motion],
-    nodes: dict[str, Any],
-    controls: dict[str, Any],
+def _segments(server: ViserServer, name: str, lines: Lines) -> Any:
+    pieces = [np.stack([path[:-1], path[1:]], axis=1) for path in lines.paths]
+    return server.scene.add_line_segments(
+        name,
+        np.concatenate(pieces).astype(np.float32),
+        colors=_rgb(lines.color),
+        thickness=lines.width,
+        thickness_units="screen",
+    )
+
+
+def _add_iterations(
+    server: ViserServer, exhibit: Exhibit, nodes: dict[str, Any], controls: dict[str, Any]
 ) -> None:
-    """Add spheres, and controls that move them along a trajectory."""
+    """Add particles on their way, and a slider that shows them in place of the settled ones."""
+    stops: list[list[Any]] = []
+    titles = {}
+    for iteration, each in exhibit.on_the_way.items():
+        shown = []
+        for label, lines in each.items():
+            name = f"iterations/{iteration}/{label.replace('/', '-')}"
+            nodes[name] = _segments(server, name, lines)
+            nodes[name].visible = False
+            shown.append(nodes[name])
+        stops.append(shown)
+        titles[iteration] = f"After {iteration} iterations: {', '.join(each)}."
+    settled = [
+        (nodes[f"lines/{label.replace('/', '-')}"], controls[label])
+        for label, lines in exhibit.lines.items()
+        if lines.settled and label in controls
+    ]
+    numbers = list(exhibit.on_the_way)
+    step = max(numbers[-1] - numbers[-2], 1) if len(numbers) > 1 else 1
+    last = numbers[-1] + step
+    slider = server.gui.add_slider("iterations", 0, last, step=step, initial_value=last)
+    text = server.gui.add_markdown(_SETTLED)
+
+    def move(_: Any) -> None:
+        with server.atomic():
+            for number, shown in zip(numbers, stops, strict=True):
+                for node in shown:
+                    node.visible = number == slider.value
+            for node, box in settled:
+                node.visible = box.value and slider.value == last
+        text.content = titles.get(slider.value, _SETTLED)
+
+    slider.on_update(move)
+    for _, box in settled:
+        box.on_update(move)
+    controls.update({"iterations": slider, "of iterations": text})
+
+
+def _add_robot(
+    server: ViserServer, exhibit: Exhibit, nodes: dict[str, Any], controls: dict[str, Any]
+) -> None:
+    """Add spheres and links, and controls that move them along a trajectory."""
+    motions = exhibit.motions
     names = list(motions)
     choice = server.gui.add_dropdown("trajectory", names, initial_value=names[0])
     slider = server.gui.add_slider("phase", 0.0, 1.0, step=1.0 / _STEPS, initial_value=0.0)
@@ -257,18 +379,53 @@ def _add_robot(
         )
         for number, (radius, center) in enumerate(zip(first.radii, first.centers[0], strict=True))
     ]
+    meshes = exhibit.meshes if all(each.poses is not None for each in motions.values()) else ()
+    links = [
+        server.scene.add_mesh_simple(
+            f"links/{number}",
+            mesh.vertices.astype(np.float32),
+            mesh.faces.astype(np.uint32),
+            color=_rgb(_ROBOT),
+            flat_shading=True,
+        )
+        for number, mesh in enumerate(meshes)
+    ]
 
     def move(_: Any) -> None:
-        centers = motions[choice.value].centers
-        now = centers[round(slider.value * (len(centers) - 1))]
+        motion = motions[choice.value]
+        now = round(slider.value * (len(motion.centers) - 1))
         with server.atomic():
-            for sphere, center in zip(spheres, now, strict=True):
+            for sphere, center in zip(spheres, motion.centers[now], strict=True):
                 sphere.position = tuple(center)
+            for link, mesh in zip(links, meshes, strict=True):
+                assert motion.poses is not None
+                pose = motion.poses[now, mesh.link]
+                link.position = tuple(pose[:3, 3])
+                link.wxyz = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
 
     slider.on_update(move)
     choice.on_update(move)
-    nodes.update({f"robot/{number}": sphere for number, sphere in enumerate(spheres)})
     controls.update({"trajectory": choice, "phase": slider})
+    nodes.update({f"robot/{number}": sphere for number, sphere in enumerate(spheres)})
+    nodes.update({f"links/{number}": link for number, link in enumerate(links)})
+    if links:
+        move(None)
+        controls["links"] = _shows(server, "links", links, True)
+        controls["spheres"] = _shows(server, "spheres", spheres, False)
+
+
+def _shows(server: ViserServer, label: str, nodes: Sequence[Any], at_first: bool) -> Any:
+    """Add a box that shows and hides nodes; return its handle."""
+    box = server.gui.add_checkbox(label, initial_value=at_first)
+
+    def apply(_: Any) -> None:
+        with server.atomic():
+            for node in nodes:
+                node.visible = box.value
+
+    apply(None)
+    box.on_update(apply)
+    return box
 
 
 def _rgb(color: str) -> tuple[int, int, int]:

@@ -11,6 +11,7 @@ import hashlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from smp_gym.arrays import checked_seed
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.observation import DecodedObservation, decode, observation_space, space_of
 from smp_planner.batch.problem_tables import checked_device
+from smp_planner.library.link_meshes import jaco_meshes
 from smp_planner.planners import learned_from
 from smp_planner.planners.registry import Method, resolve
 from smp_planner.planning.pipeline import checked_deadline
@@ -296,7 +298,15 @@ class PlannerPolicy:
 
     def _plans(self, problems: Sequence[Problem]) -> list[Plan]:
         """Return the plans of the problems of episodes that begin, made in one call."""
-        return self.planner.plan(problems, **self._plan_options) if problems else []
+        plans = self.planner.plan(problems, **self._plan_options) if problems else []
+        beside = {
+            "demonstrations": self.demonstrations.configurations,
+            "meshes": partial(jaco_meshes, self._phases is not None),
+        }
+        return [
+            plan.changed(display={"problem": problem, **beside, **plan.display})
+            for plan, problem in zip(plans, problems, strict=True)
+        ]
 
     def _problem(self, decoded: DecodedObservation, digest: int) -> Problem:
         problem = problem_from(decoded, digest, self._phases, grasping=self._grasping)

@@ -3,7 +3,9 @@
 import csv
 import gzip
 import json
+import re
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -225,3 +227,119 @@ def test_compare_says_what_it_needs(arguments: list[str]) -> None:
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2
     assert "FOLDER... A B" in result.output
+
+
+def _replanned(row: EpisodeRow) -> EpisodeRow:
+    """Return a real row as if plans had been made anew in it, with numbers that follow the seed."""
+    number = row.seed - 79400
+    return replace(
+        row, success=row.success and number != 1, planning_time=2.0 * row.planning_time,
+        replan_every=10, latency=2, replans=number, failed_replans=number // 2,
+        replanning_time=0.1 * (number + 1) if number else 0.0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def two_runs(tmp_path: Path) -> tuple[str, str]:
+    write_folder(tmp_path / "once", TASKS[:2], ("smp",), 5)
+    write_folder(tmp_path / "anew", TASKS[:2], ("smp", "cpromp"), 4, change=_replanned,
+                 replan_every=10, latency=2)  # fmt: skip
+    return str(tmp_path / "anew"), str(tmp_path / "once")
+
+
+def test_one_method_in_two_runs_is_compared(two_runs: tuple[str, str]) -> None:
+    result = CliRunner().invoke(app, ["compare", "--json", *two_runs, "smp"])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)
+    assert found["settings"] == [
+        "smp@anew plans anew every 10 steps at the latest, with a latency of 2.",
+        "smp@once plans once.",
+    ]
+    assert found["cautions"] == [
+        "Left out is what only one has played: 0 episodes of smp@anew, 2 of smp@once."
+    ]
+    placement, other, both = found["comparisons"]
+    seeds = {str(79400 + number) for number in range(4)}
+    expected = {t: [v for (_, s), v in _outcomes("smp", t).items() if s in seeds] for t in TASKS}
+    for each, task in ((placement, TASKS[0]), (other, TASKS[1])):
+        assert each["counts"]["second_only"] == expected[task][1]
+        assert each["counts"]["both"] == sum(expected[task]) - expected[task][1]
+    assert (both["first"], both["second"], both["counts"]["first_only"]) == (
+        "smp@anew", "smp@once", 0,
+    )  # fmt: skip
+    # Every plan took twice as long: no spread.
+    assert [both["times"]["solve_ratio"][name] for name in ("count", "value", "low", "high")] == [
+        8, *[pytest.approx(2.0)] * 3,
+    ]  # fmt: skip
+    assert both["times"]["second_replans"] is both["times"]["replan_ratio"] is None
+    replans = placement["times"]["first_replans"]
+    assert (replans["replans"], replans["failed"]) == (1.5, pytest.approx(2 / 6))
+    assert replans["median"] == pytest.approx(0.3)
+    planning = [
+        2 * float(row["planning_time"])
+        for row in _table()
+        if (row["task"], row["method"]) == (TASKS[0], "smp") and row["seed"] in seeds
+    ]
+    shares = [0.1 * (n + 1) / planning[n] for n in (1, 2, 3)]
+    assert replans["of_first"]["value"] == pytest.approx(stats.gmean(shares))
+
+
+def test_two_runs_are_shown_beside_each_other(
+    two_runs: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    shown = CliRunner().invoke(app, ["compare", *two_runs, "smp"])
+    assert shown.exit_code == 0
+    for text in ("smp@anew", "plans made anew", "in vain", "smp@once plans once.", "2.00"):
+        assert text in shown.output
+    # Two methods of one run, both of which make plans anew, have a ratio of these, too.
+    both = CliRunner().invoke(app, ["compare", "--json", two_runs[0], "smp", "cpromp"])
+    ratio = json.loads(both.output)["comparisons"][-1]["times"]["replan_ratio"]
+    assert (ratio["count"], ratio["value"]) == (6, pytest.approx(1.0))
+    write_folder(tmp_path / "again", TASKS[:2], ("smp",), 5)
+    again = CliRunner().invoke(app, ["compare", two_runs[1], str(tmp_path / "again"), "smp"])
+    assert "plans made anew" not in again.output
+    assert "plans once" not in again.output
+
+
+@pytest.mark.parametrize(
+    ("last", "message"),
+    [
+        (("nowhere", "smp"), "'nowhere' is neither a folder nor a method of .*which has: smp"),
+        (("{other}", "spm"), "no rows of the method 'spm@anew'"),
+        (("{late}", "smp"), "no episode in common: .*79400–79403.* the second .*79404–79405"),
+        (("{drawn}", "smp"), "episode 79400 of Placement_hard is one scene in 'anew' and another"),
+        (("{anew}", "smp"), "each folder once"),
+        (("{other}", "{late}", "smp"), "in two runs, got 3 folders and 'smp'"),
+    ],
+)
+def test_runs_that_cannot_be_compared_are_named(
+    tmp_path: Path, last: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def drawn(version: int) -> Callable[[EpisodeRow], EpisodeRow]:
+        return lambda row: replace(row, scene=f'{{"seed": {row.seed}, "version": {version}}}')
+
+    def late(row: EpisodeRow) -> EpisodeRow:
+        return replace(row, seed=row.seed + 4)
+
+    write_folder(tmp_path / "anew", TASKS[:1], ("smp",), 4, change=drawn(1))
+    write_folder(tmp_path / "drawn", TASKS[:1], ("smp",), 4, change=drawn(2))
+    write_folder(tmp_path / "other", TASKS[:1], ("smp",), 4)
+    write_folder(tmp_path / "late", TASKS[:1], ("smp",), 2, change=late, seed=79404)
+    folders = {name: str(tmp_path / name) for name in ("anew", "other", "late", "drawn")}
+    given = [folders["anew"], *(each.format(**folders) for each in last)]
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        result = CliRunner().invoke(app, ["compare", *given])
+    assert result.exit_code != 0
+    assert re.search(message, result.output + str(result.exception), re.DOTALL)
+
+
+def test_the_name_of_a_method_is_no_folder(
+    hard: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_folder(tmp_path / "smp", TASKS[:1], ("smp",), 1)
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["compare", "--json", str(hard), "smp", "cpromp"])
+    assert json.loads(result.output)["comparisons"][0]["first"] == "smp"

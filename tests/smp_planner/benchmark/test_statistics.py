@@ -14,6 +14,7 @@ from smp_planner.benchmark.statistics import (
     mean_interval,
     paired_difference,
     rate_interval,
+    ratio_interval,
 )
 
 BENTUR = PairedCounts(1, 1, 7, 12)
@@ -39,6 +40,31 @@ def test_bootstrap_intervals_cover_the_mean_as_often_as_they_say() -> None:
         estimate = mean_interval(draw.exponential(2.0, 60).tolist())
         covered += estimate["low"] <= 2.0 <= estimate["high"]
     assert 85 <= covered <= 100
+
+
+def test_ratios_have_geometric_means() -> None:
+    draw = np.random.default_rng(1)
+    below = draw.exponential(1.0, 40)
+    above = below * draw.lognormal(math.log(0.25), 0.3, 40)
+    estimate = ratio_interval(above.tolist(), below.tolist())
+    assert estimate["count"] == 40
+    assert estimate["value"] == pytest.approx(stats.gmean(above / below))
+    assert estimate["low"] < 0.25 < estimate["high"]
+    inverse = ratio_interval(below.tolist(), above.tolist())
+    assert inverse["value"] == pytest.approx(1 / estimate["value"])
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "message"),
+    [
+        ([1.0, 0.0], [1.0, 1.0], r"first must be positive and finite, got \[1.0, 0.0\]"),
+        ([1.0], [math.inf], r"second must be positive and finite, got \[inf\]"),
+        ([1.0, 2.0], [1.0], "2 of first, 1 of second"),
+    ],
+)
+def test_ratios_need_positive_pairs(first: list[float], second: list[float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ratio_interval(first, second)
 
 
 @pytest.mark.parametrize("values", [[3.0], [3.0, 3.0, 3.0]])

@@ -3,14 +3,17 @@
 import time
 import urllib.request
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from smp_gym.robot import kinematics
 from smp_gym.scene import Obstacle
-from smp_planner import SMP, Circle
+from smp_planner import SMP, Circle, Robot
+from smp_planner.adaptation import adaptation
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planning.viewer import Exhibit, Lines, Motion, exhibit_of, show
+from smp_planner.policy.planner_policy import PlannerPolicy
 
 PHASE = np.linspace(0.0, 1.0, 40)
 BOX = Obstacle(shape="box", position=(0.5, -0.3, 0.1), size=(0.05, 0.1, 0.2))
@@ -113,6 +116,131 @@ def test_the_model_of_a_robot_gives_its_spheres(plan):
     expected = kinematics.sphere_centers(paths[0], kinematics.arm_spheres())
     np.testing.assert_allclose(motion.centers, expected, atol=1e-9)
     np.testing.assert_array_equal(motion.radii, kinematics.arm_spheres().radius)
+
+
+def test_particles_on_their_way_are_on_a_slider(served):
+    bows = (-0.1, 0.0, 0.1, 0.2)
+    paths = [np.stack([PHASE, b * np.sin(np.pi * PHASE), 0.1 * PHASE], axis=1) for b in bows]
+    plan = SMP.fit(paths).adapt([BOX], particles=5, history=2,
+                                method=adaptation("smp", iterations=4))  # fmt: skip
+    exhibit = exhibit_of(plan)
+    assert list(exhibit.on_the_way) == [0, 2]
+    for iteration, lines in exhibit.on_the_way.items():
+        shown = np.concatenate([each.paths for each in lines.values()])
+        expected = plan.history[iteration].trajectories
+        np.testing.assert_array_equal(np.sort(shown, axis=0), np.sort(expected, axis=0))
+    page = served(exhibit)
+    settled = page.nodes["lines/chosen particle"]
+    of_stops = [
+        [node for name, node in page.nodes.items() if name.startswith(f"iterations/{iteration}/")]
+        for iteration in (0, 2)
+    ]
+
+    def visible():
+        return [settled.visible, *(all(n.visible for n in nodes) for nodes in of_stops)]
+
+    assert visible() == [True, False, False]
+    page.controls["iterations"].value = 2
+    assert until(lambda: visible() == [False, False, True])
+    assert "After 2 iterations: " in page.controls["of iterations"].content
+    page.controls["iterations"].value = 0
+    assert until(lambda: visible() == [False, True, False])
+    # What is hidden by its box stays hidden at the end.
+    page.controls["chosen particle"].value = False
+    page.controls["iterations"].value = 4
+    assert until(lambda: "the last" in page.controls["of iterations"].content)
+    assert until(lambda: visible() == [False, False, False])
+    assert page.nodes["lines/demonstrations: 4"].visible
+
+
+def test_what_was_executed_is_shown_beside_the_plan(plan):
+    moved = plan.best + 0.01
+    lines = exhibit_of(plan, moved).lines
+    np.testing.assert_array_equal(lines["executed"].paths[0], moved)
+    assert lines["executed"].color != lines["chosen particle"].color
+    with pytest.raises(ValueError, match="executed must have shape"):
+        plan.watch(executed=moved[:, :2])
+
+
+URDF = """
+<robot name="turning">
+  <link name="foot"><visual><geometry><sphere radius="0.1"/></geometry></visual></link>
+  <joint name="turn" type="revolute">
+    <parent link="foot"/><child link="arm"/><origin xyz="0 0 0.5"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" velocity="1" effort="1"/>
+  </joint>
+  <link name="arm">
+    <visual>
+      <origin xyz="0.3 0 0"/><geometry>{visual}</geometry>
+    </visual>
+    <collision><origin xyz="0.3 0 0"/><geometry><box size="0.5 0.1 0.1"/></geometry></collision>
+  </link>
+</robot>
+"""
+SEEN, BEHIND = '<box size="0.6 0.04 0.02"/>', '<mesh filename="gone.obj"/>'
+
+
+@pytest.mark.parametrize(
+    ("visual", "half"), [(SEEN, (0.3, 0.02, 0.01)), (BEHIND, (0.25, 0.05, 0.05))]
+)
+def test_a_robot_is_seen_by_its_links(tmp_path, served, visual, half):
+    """A quarter of a turn about y brings x to -z; without a mesh it is the collision shape."""
+    path = tmp_path / "turning.urdf"
+    path.write_text(URDF.format(visual=visual))
+    robot = Robot.from_urdf(path, "arm")
+    paths = [np.linspace(0.0, np.pi / 2, 30)[:, None] + a for a in (-0.01, 0.0, 0.01)]
+    plan = SMP.fit(paths, robot).adapt(particles=2, method="promp", start=(0.0,),
+                                       goal=(np.pi / 2,))  # fmt: skip
+    exhibit = exhibit_of(plan)
+    page = served(exhibit)
+    foot, arm = page.nodes["links/0"], page.nodes["links/1"]
+    np.testing.assert_allclose(np.abs(foot.vertices).max(axis=0), 0.1, atol=1e-3)
+    assert not page.nodes["robot/0"].visible
+    page.controls["phase"].value = 1.0
+    assert until(lambda: np.allclose(placed(arm).mean(axis=0), [0.0, 0.0, 0.2], atol=1e-3))
+    low, high = placed(arm).min(axis=0), placed(arm).max(axis=0)
+    x, y, z = half
+    np.testing.assert_allclose(low, [-z, -y, 0.2 - x], atol=3e-3)
+    np.testing.assert_allclose(high, [z, y, 0.2 + x], atol=3e-3)
+    page.controls["links"].value, page.controls["spheres"].value = False, True
+    assert until(lambda: not arm.visible and page.nodes["robot/0"].visible)
+
+
+def placed(node):
+    """Return the vertices of a mesh where it is shown, by the quaternion (w, x, y, z)."""
+    turn, axis = node.wxyz[0], np.asarray(node.wxyz[1:])
+    points = np.asarray(node.vertices, float)
+    beside = np.cross(axis, points)
+    return points + 2 * (turn * beside + np.cross(axis, beside)) + node.position
+
+
+def test_a_plan_of_an_environment_is_shown(served):
+    env = gym.make("smp_gym/Placement-v0", difficulty="medium")
+    try:
+        policy = PlannerPolicy.make("promp", "Placement")
+        observation, _ = env.reset(seed=4)
+        plan = policy.plan(observation)
+        scene = env.get_wrapper_attr("scene")
+    finally:
+        env.close()
+    executed = plan.trajectories[1]
+    exhibit = exhibit_of(plan, executed)
+    assert len(exhibit.obstacles) == len(scene.obstacles)
+    shown = sum(len(lines.paths) for label, lines in exhibit.lines.items() if ":" in label)
+    assert shown == len(policy.demonstrations.configurations) + len(plan.trajectories)
+    tool = kinematics.end_effector_pose(executed)[:, :3, 3]
+    np.testing.assert_allclose(exhibit.lines["executed"].paths[0], tool, atol=1e-9)
+    assert list(exhibit.motions) == ["chosen particle", "executed"]
+    page = served(exhibit)
+    page.controls["trajectory"].value = "executed"
+    page.controls["phase"].value = 1.0
+    poses = kinematics.link_transforms(executed[-1])
+    for number in range(1, 7):
+        node = page.nodes[f"links/{number}"]
+        assert until(lambda n=number, node=node: np.allclose(node.position, poses[n, :3, 3]))
+    # The base stands where the arm's own description has it: symmetric, on the table.
+    base = placed(page.nodes["links/0"])
+    assert base[:, 2].min() == pytest.approx(0.0, abs=0.01)
 
 
 def test_paths_in_the_plane_are_refused():
