@@ -123,6 +123,15 @@ class Robot:
         """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
         return self.model.carried_points(configurations, np.zeros(3))[0]
 
+    def tool_quaternions(self, configurations: FloatArray) -> FloatArray:
+        """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad.
+
+        From the tip's frame to that of the root link.
+        """
+        rotations = self.model.tool_rotations(configurations)[0]
+        flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+        return np.asarray(flat.reshape(*rotations.shape[:-2], 4))
+
     def configuration(
         self, positions: Mapping[str, float], *, ignored: Iterable[str] = ()
     ) -> FloatArray:
