@@ -43,6 +43,8 @@ class Robot:
         standing: where other joints stand, rad or m, by name: those held, those that mimic them,
             and those beside the chain. Fixed ones are left out.
         base_links: (4, 4) poses in the root link of all links that do not move, by name.
+        tip_links: (4, 4) poses in the tip's frame of all links that move as the tip does, it among
+            them, by name.
     """
 
     model: RobotModel
@@ -50,6 +52,7 @@ class Robot:
     continuous: tuple[bool, ...] = ()
     standing: Mapping[str, float] = field(default_factory=dict)
     base_links: Mapping[str, FloatArray] = field(default_factory=dict)
+    tip_links: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
@@ -381,7 +384,11 @@ def _assembled(
     }
     base_links = {name: pose for name, (index, pose) in placed.items() if index == 0}
     continuous = tuple(joint.kind == "continuous" for joint in chain)
-    return Robot(model, names, continuous, standing, base_links)
+    last, tool = placed[tip]
+    tip_links = {
+        name: np.linalg.inv(tool) @ pose for name, (index, pose) in placed.items() if index == last
+    }
+    return Robot(model, names, continuous, standing, base_links, tip_links)
 
 
 def _turning_z_to(axis: FloatArray) -> FloatArray:

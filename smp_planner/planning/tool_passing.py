@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, IntArray
 from smp_planner.collision.costs import Cost, ValueAndGradient, check_trajectories
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
@@ -22,7 +22,7 @@ from smp_planner.movement_primitives.box_prior import box_offset
 from smp_planner.planning.constraints import at_phases, mixture_cost, spread_to_steps
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
-from smp_planner.planning.tool_postures import postures_at, posture_information
+from smp_planner.planning.tool_postures import posture_information, postures_at
 
 __all__ = ["ToolPassing"]
 
@@ -155,7 +155,7 @@ class ToolPassing:
         return settings.sigma
 
 
-def _least(distances: FloatArray, angles: FloatArray) -> FloatArray:
+def _least(distances: FloatArray, angles: FloatArray) -> IntArray:
     """Return which of H places P tools miss least, (1, P)."""
     return np.asarray((distances + angles).argmin(axis=0)[None])
 

@@ -81,7 +81,7 @@ def postures_at(
         UnreachableError: no place is reached; the message says how far the nearest posture stays
             away, and which joints are at their limits there.
     """
-    precision = np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(len(mean)))
+    precision = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(len(mean))))
     starts = _starts(mean, robot)
     found: list[tuple[bool, bool, float, int, FloatArray]] = []
     for number, place in enumerate(places):
