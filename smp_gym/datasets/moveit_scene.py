@@ -126,7 +126,8 @@ class PoseGoal:
         link: by name.
         point: (3,) m, in the link's frame.
         frame: in which the regions are.
-        regions: poses and half extents (3,) m of boxes, in any of which the point may be.
+        regions: "box" or "sphere", pose, and half extents (3,) m or radius (1,) m of each volume
+            in which the point may be.
         orientation: None if it is free.
     """
 
@@ -134,7 +135,7 @@ class PoseGoal:
     link: str
     point: FloatArray
     frame: str
-    regions: tuple[tuple[Pose, FloatArray], ...]
+    regions: tuple[tuple[str, Pose, FloatArray], ...]
     orientation: OrientationGoal | None
 
 
@@ -331,8 +332,8 @@ def _link(item: Mapping[str, Any], where: str) -> str:
     return name
 
 
-def _regions(value: Any, where: str) -> Iterator[tuple[Pose, FloatArray]]:
-    """Yield the poses and half extents (3,) m of boxes within a ``moveit_msgs/BoundingVolume``."""
+def _regions(value: Any, where: str) -> Iterator[tuple[str, Pose, FloatArray]]:
+    """Yield the regions of a ``moveit_msgs/BoundingVolume``, as of `PoseGoal`."""
     volume = _mapping(value, where)
     if volume.get("meshes"):
         raise ValueError(f"{where} has meshes, but only boxes and spheres can be read")
@@ -342,13 +343,9 @@ def _regions(value: Any, where: str) -> Iterator[tuple[Pose, FloatArray]]:
     poses = _poses(volume, "primitive", len(primitives), where)
     for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
         kind, dimensions = _primitive(primitive, f"{where}.primitives[{index}]")
-        if kind == "box":
-            yield pose, np.array(dimensions) / 2.0
-        elif kind == "sphere":
-            # The cube in it, whichever way that is turned.
-            yield Pose(Rotation.identity(), pose.position), np.full(3, dimensions[0] / 3.0**0.5)
-        else:
+        if kind not in ("box", "sphere"):
             raise ValueError(f"{where}.primitives[{index}] must be a box or a sphere, got {kind!r}")
+        yield kind, pose, np.array(dimensions) / (2.0 if kind == "box" else 1.0)
 
 
 def _oriented(item: Mapping[str, Any], where: str) -> OrientationGoal:

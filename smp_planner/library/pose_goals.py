@@ -50,9 +50,12 @@ def goal_regions(
         asked = _orientation(orientation, turn, link.rotation)
     point = _in_tip(goal.link, goal.where, robot).of(goal.point)
     regions = []
-    for pose, half in goal.regions:
+    for kind, pose, size in goal.regions:
         placed = frames[goal.frame].then(pose)
-        inside = _upright(placed.rotation, half)
+        if kind == "box":
+            inside = _upright(placed.rotation, size)
+        else:
+            inside = np.full(3, size[0] / math.sqrt(3.0))
         regions.append(GoalRegion(point, placed.position - inside, placed.position + inside, asked))
     return regions
 
