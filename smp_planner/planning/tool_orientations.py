@@ -12,7 +12,10 @@ from scipy.spatial.transform import Rotation
 from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
 from smp_gym.geometry.pose import checked_pose
 
-__all__ = ["Cone", "Orientation", "ToolOrientation", "checked_orientation"]
+__all__ = ["Cone", "Orientation", "ToolOrientation", "checked_orientation", "inner_angle"]
+
+_MOST_MARGIN = 0.25
+"""rad, that orientations within an angle keep from its border at most."""
 
 _ALIGNED = 1e-12
 """Sine of the angle between two axes up to which these are parallel."""
@@ -138,3 +141,17 @@ def checked_orientation(name: str, value: Any) -> ToolOrientation | None:
     if value is not None and not isinstance(value, Cone | Orientation):
         raise ValueError(f"{name} must be a Cone, an Orientation or None, got {shown(value)}")
     return value
+
+
+def inner_angle(orientation: ToolOrientation, share: float) -> float:
+    """Return the angle, rad, within which an orientation keeps clear of what is not allowed.
+
+    Args:
+        orientation: that is asked for.
+        share: of the allowed angle that is left; 0.25 rad from its border are enough, and where all
+            orientations are allowed, there is none.
+    """
+    allowed = orientation.allowed
+    if allowed >= math.pi:
+        return math.pi
+    return allowed - min((1.0 - share) * allowed, _MOST_MARGIN)

@@ -22,6 +22,7 @@ from smp_planner.movement_primitives.box_prior import box_offset
 from smp_planner.planning.constraints import at_phases, mixture_cost, spread_to_steps
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
+from smp_planner.planning.tool_orientations import inner_angle
 from smp_planner.planning.tool_postures import posture_information, postures_at
 
 __all__ = ["ToolPassing"]
@@ -88,9 +89,9 @@ class ToolPassing:
     def cost(self, settings: PlanSettings) -> Cost:
         """Return `mixture_cost` of the places, for the tool when they are due.
 
-        Of a via-point's tolerance and of the angle of an orientation, the share
-        `PlanSettings.via_share` costs nothing. The angle has the tails of a length, in rad for m;
-        where an orientation is free, its share is π rad.
+        Of a via-point's tolerance the share `PlanSettings.via_share` costs nothing, and of the
+        angle of an orientation what `inner_angle` leaves of it. The angle has the tails of
+        a length, in rad for m; where an orientation is free, π rad cost nothing.
         """
         lower, upper = (
             np.stack(corners)
@@ -98,7 +99,7 @@ class ToolPassing:
         )
         free = np.array(
             [
-                math.pi if p.orientation is None else settings.via_share * p.orientation.allowed
+                math.pi if p.orientation is None else inner_angle(p.orientation, settings.via_share)
                 for p in self.places
             ]
         )

@@ -18,6 +18,7 @@ from smp_gym.robot.kinematics import UnreachableError, damped_step
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
+from smp_planner.planning.tool_orientations import inner_angle
 
 __all__ = ["posture_information", "postures_at"]
 
@@ -168,7 +169,7 @@ def _errors(
         return -error, jacobian
     rotations, axes = robot.tool_rotations(q)
     angle, about = place.orientation.turned(rotations)
-    beyond = np.maximum(angle - INNER * place.orientation.allowed, 0.0)
+    beyond = np.maximum(angle - inner_angle(place.orientation, INNER), 0.0)
     return (
         -np.concatenate([error, beyond[:, None] * about], axis=1),
         np.concatenate([jacobian, _relevant(place, rotations) @ axes], axis=1),

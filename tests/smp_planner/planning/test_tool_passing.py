@@ -61,12 +61,12 @@ def oracle(name, paths):
         if isinstance(place.orientation, Cone):
             own = pose[:, :3, :3] @ torch.from_numpy(place.orientation.axis)
             angle = torch.arccos(own @ torch.from_numpy(place.orientation.direction))
-            free = share * place.orientation.angle
+            free = max(share * place.orientation.angle, place.orientation.angle - 0.25)
         elif isinstance(place.orientation, Orientation):
             wanted = torch.from_numpy(Rotation.from_quat(place.orientation.quaternion).as_matrix())
             trace = torch.einsum("pij,ij->p", pose[:, :3, :3], wanted)
             angle = torch.arccos((trace - 1.0) / 2.0)
-            free = share * place.orientation.tolerance
+            free = max(share * place.orientation.tolerance, place.orientation.tolerance - 0.25)
         beyond = torch.clamp(angle - free, min=0.0)
         square = (offset.square().sum(-1) + beyond.square()) / (2.0 * sigma**2)
         widths = torch.cat([upper - lower, torch.tensor([2.0 * free], dtype=torch.float64)])
