@@ -28,6 +28,8 @@ from smp_gym.untrusted_files import parse_yaml, read_file
 
 __all__ = [
     "WORLD",
+    "OrientationGoal",
+    "PoseGoal",
     "SceneBody",
     "base_moved",
     "bodies_of",
@@ -93,6 +95,48 @@ class SceneBody:
         return Obstacle(
             shape=self.kind, position=(x, y, z), quaternion=pose.quaternion, size=(a, b, c)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationGoal:
+    """An orientation of a link that a request asks for.
+
+    Attributes:
+        link: by name.
+        frame: in which the rotation is.
+        rotation: of the link.
+        tolerances: (3,) rad, about x, y and z, not negative.
+        euler: whether they are of the XYZ Euler angles of the difference; else of its rotation
+            vector.
+    """
+
+    link: str
+    frame: str
+    rotation: Rotation
+    tolerances: FloatArray
+    euler: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGoal:
+    """A place of a point of a link that a request asks for, with an orientation or without.
+
+    Attributes:
+        where: it stands, for messages.
+        link: by name.
+        point: (3,) m, in the link's frame.
+        frame: in which the regions are.
+        regions: "box" or "sphere", pose, and half extents (3,) m or radius (1,) m of each volume
+            in which the point may be.
+        orientation: None if it is free.
+    """
+
+    where: str
+    link: str
+    point: FloatArray
+    frame: str
+    regions: tuple[tuple[str, Pose, FloatArray], ...]
+    orientation: OrientationGoal | None
 
 
 def read_message(path: str | PathLike[str]) -> Mapping[str, Any]:
@@ -218,23 +262,27 @@ def has_octomap(message: Mapping[str, Any]) -> bool:
     return bool(octomap) and not (isinstance(inner, Mapping) and not inner.get("data"))
 
 
-def goals_of(message: Mapping[str, Any]) -> tuple[dict[str, float], ...]:
-    """Return the goals of a request: of each the positions, rad or m, of joints by name.
+def goals_of(message: Mapping[str, Any]) -> tuple[dict[str, float] | PoseGoal, ...]:
+    """Return the goals of a request: of joints the positions, rad or m, by name, or of a link.
 
-    Tolerances are left alone: a goal is the position itself.
+    Tolerances of joints are left alone: such a goal is the position itself. Weights are, too.
 
     Raises:
-        ValueError: a field is wrong, or a goal is not one of joints alone.
+        ValueError: a field is wrong, or a goal is neither one of joints alone nor one of a link.
     """
-    goals = []
+    goals: list[dict[str, float] | PoseGoal] = []
     for number, entry in enumerate(_list(message.get("goal_constraints"), "goal_constraints")):
         where = f"goal_constraints[{number}]"
         item = _mapping(entry, where)
-        for kind in _CONSTRAINTS:
-            if item.get(f"{kind}_constraints"):
-                raise ValueError(
-                    f"{where} has {kind}_constraints, but only joint_constraints can be read"
-                )
+        kinds = [kind for kind in ("joint", *_CONSTRAINTS) if item.get(f"{kind}_constraints")]
+        if "visibility" in kinds or ("joint" in kinds and len(kinds) > 1):
+            raise ValueError(
+                f"{where} has {kinds[-1]}_constraints, but only joint_constraints alone, or "
+                "position_constraints with or without orientation_constraints, can be read"
+            )
+        if "position" in kinds or "orientation" in kinds:
+            goals.append(_pose_goal(item, where))
+            continue
         given = []
         where = f"{where}.joint_constraints"
         for index, constraint in enumerate(_list(item.get("joint_constraints"), where)):
@@ -245,6 +293,83 @@ def goals_of(message: Mapping[str, Any]) -> tuple[dict[str, float], ...]:
             raise ValueError(f"{where} must hold at least one joint, got none")
         goals.append(_joints(given, where))
     return tuple(goals)
+
+
+def _pose_goal(item: Mapping[str, Any], where: str) -> PoseGoal:
+    """Return a goal of a link."""
+    position = _only(item, "position_constraints", where)
+    if position is None:
+        raise ValueError(f"{where} has orientation_constraints, but no position_constraints")
+    place = f"{where}.position_constraints[0]"
+    offset = position.get("target_point_offset") or (0.0, 0.0, 0.0)
+    orientation = _only(item, "orientation_constraints", where)
+    return PoseGoal(
+        where=where,
+        link=_link(position, place),
+        point=_vector(offset, "xyz", f"{place}.target_point_offset"),
+        frame=_header(position, place),
+        regions=tuple(_regions(position.get("constraint_region"), f"{place}.constraint_region")),
+        orientation=(
+            None
+            if orientation is None
+            else _oriented(orientation, f"{where}.orientation_constraints[0]")
+        ),
+    )
+
+
+def _only(item: Mapping[str, Any], field: str, where: str) -> Mapping[str, Any] | None:
+    """Return the one constraint of a kind; None without."""
+    entries = _list(item.get(field), f"{where}.{field}")
+    if len(entries) > 1:
+        raise ValueError(f"{where}.{field} must hold one constraint, got {len(entries)}")
+    return _mapping(entries[0], f"{where}.{field}[0]") if entries else None
+
+
+def _link(item: Mapping[str, Any], where: str) -> str:
+    name = item.get("link_name")
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"{where}.link_name must name a link, got {shown(name)}")
+    return name
+
+
+def _regions(value: Any, where: str) -> Iterator[tuple[str, Pose, FloatArray]]:
+    """Yield the regions of a ``moveit_msgs/BoundingVolume``, as of `PoseGoal`."""
+    volume = _mapping(value, where)
+    if volume.get("meshes"):
+        raise ValueError(f"{where} has meshes, but only boxes and spheres can be read")
+    primitives = _list(volume.get("primitives"), f"{where}.primitives")
+    if not primitives:
+        raise ValueError(f"{where}.primitives must hold a box or a sphere, got none")
+    poses = _poses(volume, "primitive", len(primitives), where)
+    for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
+        kind, dimensions = _primitive(primitive, f"{where}.primitives[{index}]")
+        if kind not in ("box", "sphere"):
+            raise ValueError(f"{where}.primitives[{index}] must be a box or a sphere, got {kind!r}")
+        yield kind, pose, np.array(dimensions) / (2.0 if kind == "box" else 1.0)
+
+
+def _oriented(item: Mapping[str, Any], where: str) -> OrientationGoal:
+    """Return what a ``moveit_msgs/OrientationConstraint`` asks for."""
+    tolerances = [
+        _number(
+            item.get(f"absolute_{axis}_axis_tolerance"), f"{where}.absolute_{axis}_axis_tolerance"
+        )
+        for axis in "xyz"
+    ]
+    if min(tolerances) < 0.0:
+        raise ValueError(f"{where} must have tolerances of at least 0, got {tolerances}")
+    meaning = item.get("parameterization", 0)
+    if meaning not in (0, 1) or isinstance(meaning, bool):
+        raise ValueError(f"{where}.parameterization must be 0 or 1, got {shown(meaning)}")
+    if item.get("orientation") is None:
+        raise ValueError(f"{where}.orientation must be given, got none")
+    return OrientationGoal(
+        link=_link(item, where),
+        frame=_header(item, where),
+        rotation=_pose({"orientation": item["orientation"]}, where).rotation,
+        tolerances=np.array(tolerances),
+        euler=meaning == 0,
+    )
 
 
 def path_constrained(message: Mapping[str, Any]) -> bool:

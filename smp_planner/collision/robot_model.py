@@ -374,6 +374,27 @@ class RobotModel:
             np.moveaxis(jacobians, 2, 0).reshape(*batch, 3, self.joints),
         )
 
+    def tool_rotations(self, configurations: Any) -> tuple[FloatArray, FloatArray]:
+        """Return the orientation of the hand, and the axes about which the joints turn it.
+
+        Args:
+            configurations: (..., n) rad.
+
+        Returns:
+            (..., 3, 3) from the end-effector frame to the base frame, and (..., 3, n) unit axes in
+            the base frame.
+
+        Raises:
+            ValueError: wrong shape, or not finite.
+        """
+        origin, moved = self.carried_points(configurations, np.zeros(3))
+        carried = [self.carried_points(configurations, axis) for axis in np.eye(3)]
+        columns = np.stack([point - origin for point, _ in carried], axis=-2)
+        slopes = np.stack([jacobian - moved for _, jacobian in carried], axis=-3)
+        # A joint's axis a moves each column c by a x c, and the sum of c x (a x c) is 2 a.
+        axes = 0.5 * np.cross(columns[..., None, :], np.swapaxes(slopes, -1, -2)).sum(axis=-3)
+        return np.swapaxes(columns, -1, -2), np.swapaxes(axes, -1, -2)
+
     def link_transforms(self, configurations: torch.Tensor) -> torch.Tensor:
         """Return the poses (..., n + 1, 4, 4) of all links, differentiable by autograd.
 

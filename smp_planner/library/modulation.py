@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
-from smp_planner.planning.tool_goals import GoalRegion
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 
 __all__ = ["AnyOf", "Box", "ViaPoint"]
 
@@ -54,11 +54,12 @@ class AnyOf:
 
     Attributes:
         options: points (D,) or `Box`es for start and goal; `ViaPoint`s of one phase for via-points;
-            `GoalRegion`s for the goal of a robot's tool.
+            `GoalRegion`s for the goal of a robot's tool, `ToolViaPoint`s of one phase for its
+            via-points.
         shares: π_h, positive; equal by default.
     """
 
-    options: Sequence[ArrayLike | Box | ViaPoint | GoalRegion]
+    options: Sequence[ArrayLike | Box | ViaPoint | GoalRegion | ToolViaPoint]
     shares: Sequence[float] | None = None
 
     def __post_init__(self) -> None:

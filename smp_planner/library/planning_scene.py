@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from smp_gym.arrays import checked_number, shown
 from smp_gym.datasets.moveit_scene import (
     WORLD,
+    PoseGoal,
     SceneBody,
     base_moved,
     bodies_of,
@@ -32,8 +33,10 @@ from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 from smp_planner.library.covering import check_mesh
 from smp_planner.library.mesh_obstacles import placed_spheres, spheres_of
+from smp_planner.library.pose_goals import goal_regions
 from smp_planner.library.solids import cone_obstacles
 from smp_planner.library.urdf import Robot
+from smp_planner.planning.tool_goals import GoalRegion
 
 __all__ = ["PlanningScene"]
 
@@ -50,17 +53,23 @@ class PlanningScene:
         start: positions, rad or m, by joint; None if none is given. `Robot.configuration` puts
             them into the robot's order.
         goals: likewise, each a goal that will do.
+        tool_goals: regions of the tool with their orientations, each a goal that will do.
     """
 
     obstacles: tuple[Obstacle, ...]
     names: tuple[str, ...]
     start: Mapping[str, float] | None = None
     goals: tuple[Mapping[str, float], ...] = ()
+    tool_goals: tuple[GoalRegion, ...] = ()
 
     def __repr__(self) -> str:
         """Return a short description, without the bodies."""
         start = "a start" if self.start else "no start"
-        return f"PlanningScene({len(self.obstacles)} obstacles, {start}, {len(self.goals)} goals)"
+        of_tool = f", {len(self.tool_goals)} goals of the tool" if self.tool_goals else ""
+        return (
+            f"PlanningScene({len(self.obstacles)} obstacles, {start}, {len(self.goals)} goals"
+            f"{of_tool})"
+        )
 
     @classmethod
     def load(
@@ -79,7 +88,14 @@ class PlanningScene:
         Boxes, spheres and cylinders are read as they are, cones as cylinders around them
         (`cone_obstacles`), meshes that the file holds as spheres over them (`mesh_obstacles`). The
         start is that of the request, or else the robot's state in the scene. Collision matrix,
-        padding and colours are left alone, as are tolerances of goals.
+        padding and colours are left alone, as are weights of goals and tolerances of joints.
+
+        A goal of a pose, a position constraint with boxes and spheres as its regions and at most
+        one orientation constraint, becomes a `GoalRegion` of the robot's tip for each region. What
+        has no such form is taken narrower, never wider: a sphere as the cube in it, a box that is
+        turned as the box of its proportions along the axes that fits in, tolerances about the three
+        axes as the least of them, or, where that about x or z is π or more, as a `Cone` of the
+        least of the others (see `pose_goals`).
 
         Args:
             path: of MoveIt's text (``.scene``, at most 16 MiB), or of YAML (at most 1 MiB) with the
@@ -87,7 +103,8 @@ class PlanningScene:
             request: of YAML with the fields of ``moveit_msgs/MotionPlanRequest``; None reads start
                 and goals from the scene's file, if it has any.
             robot: whose links that do not move are frames of known places, and whose root link
-                is "world", the frame of bodies that name none.
+                is "world", the frame of bodies that name none. Goals of a pose need it, and are of
+                its tip or of links that move as that does.
             frames: position (3,) m and quaternion (4,) x, y, z, w, in the robot's root link, of
                 other frames by name. Frames that the file itself places in others follow these.
                 With neither robot nor frames the one frame of the file is taken for the root link.
@@ -114,7 +131,8 @@ class PlanningScene:
             if frames is None:
                 _refuse_moved(message.get("robot_state"), "robot_state")
             bodies = list(bodies_of(message))
-            poses = _poses([body.frame for body in bodies], frames_of(message), given, robot)
+            fixed, own = frames_of(message), [body.frame for body in bodies]
+            poses = _poses(own, own, fixed, given, robot)
             parts = [
                 (body.name, obstacle)
                 for body in bodies
@@ -136,9 +154,16 @@ class PlanningScene:
             if frames is None:
                 _refuse_moved(asked.get("start_state"), "start_state")
             start |= joints_of(asked.get("start_state"), "start_state")
-            goals = goals_of(asked)
+            joints, regions = [], []
+            for goal in goals_of(asked):
+                if not isinstance(goal, PoseGoal):
+                    joints.append(goal)
+                    continue
+                named = [goal.frame, *([goal.orientation.frame] if goal.orientation else [])]
+                placed = _poses(named, [*own, *named], fixed, given, robot)
+                regions += goal_regions(goal, placed, robot)
         names, obstacles = zip(*parts, strict=True) if parts else ((), ())
-        return cls(obstacles, names, start or None, goals)
+        return cls(obstacles, names, start or None, tuple(joints), tuple(regions))
 
 
 @contextmanager
@@ -184,6 +209,7 @@ def _refuse_moved(state: Any, where: str) -> None:
 
 def _poses(
     names: Sequence[str],
+    mentioned: Sequence[str],
     fixed: Mapping[str, tuple[str, Pose]],
     given: Mapping[str, Pose],
     robot: Robot | None,
@@ -191,12 +217,13 @@ def _poses(
     """Return where frames are in the robot's root link.
 
     Args:
-        names: of the bodies' frames.
+        names: of the frames.
+        mentioned: frames that the files name.
         fixed: of frames their parents, and their poses there.
         given: the user's, by name.
         robot: whose links are frames, too.
     """
-    known = {WORLD, *names, *fixed, *(parent for parent, _ in fixed.values())}
+    known = {WORLD, *mentioned, *fixed, *(parent for parent, _ in fixed.values())}
     unknown = sorted(set(given) - known)
     if unknown:
         raise ValueError(f"frames must be of {', '.join(sorted(known))}, got {', '.join(unknown)}")

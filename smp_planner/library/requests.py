@@ -18,7 +18,8 @@ from smp_planner.library.joint_angles import JointAngles
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.movement_primitives.box_prior import SmoothBox
 from smp_planner.planning.constraints import Constraint, Passing, Place, Reaching
-from smp_planner.planning.tool_goals import GoalRegion
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
+from smp_planner.planning.tool_passing import ToolPassing
 
 __all__ = ["Request", "constraints_of", "several"]
 
@@ -49,7 +50,7 @@ def several(name: str, given: Any, kinds: tuple[type, ...]) -> tuple[Any, ...]:
 def constraints_of(
     frame: Frame,
     start: Request | None,
-    via_points: Sequence[ViaPoint | AnyOf],
+    via_points: Sequence[ViaPoint | ToolViaPoint | AnyOf],
     goal: Request | None,
     sigma: float,
     angles: JointAngles | None,
@@ -66,7 +67,7 @@ def constraints_of(
 
     Raises:
         ValueError: a place of another dimension than the path, not finite or beyond the limits of
-            a joint, options of a via-point at different phases, a region for the tool of no robot,
+            a joint, options of a via-point at different phases, a place for the tool of no robot,
             or two constraints of one phase that cannot both be met.
     """
     constraints: list[Constraint] = []
@@ -80,17 +81,30 @@ def constraints_of(
             constraints.append(_passing("goal", 1.0, frame, goal, sigma, angles))
     for index, via in enumerate(via_points):
         name = f"via_points[{index}]"
-        options, _ = _options(via)
+        options, shares = _options(via)
+        of_tool = any(isinstance(option, ToolViaPoint) for option in options)
+        kind = ToolViaPoint if of_tool else ViaPoint
         for option in options:
-            if not isinstance(option, ViaPoint):
-                raise ValueError(f"{name} must be a ViaPoint or AnyOf of such, got {option!r}")
+            if not isinstance(option, kind):
+                raise ValueError(
+                    f"{name} must be a ViaPoint, a ToolViaPoint or AnyOf of one of these, got "
+                    f"{option!r}"
+                )
         phases = sorted({option.phase for option in options})
         if len(phases) > 1:
             raise ValueError(f"{name} must be options of one phase, got {phases}")
-        constraints.append(_passing(name, phases[0], frame, via, sigma, angles))
+        if of_tool:
+            if angles is None:
+                raise ValueError(f"{name} is for a tool, but the primitive has no robot")
+            model = angles.robot.model
+            constraints.append(ToolPassing(name, phases[0], options, model, shares))
+        else:
+            constraints.append(_passing(name, phases[0], frame, via, sigma, angles))
     for first, second in combinations(constraints, 2):
         if isinstance(first, Passing) and isinstance(second, Passing):
             _refuse_contradiction(frame, first, second)
+        elif isinstance(first, ToolPassing) and isinstance(second, ToolPassing):
+            _refuse_places_apart(first, second)
     return tuple(sorted(constraints, key=lambda constraint: constraint.phases[0]))
 
 
@@ -103,11 +117,13 @@ def _options(request: Any) -> tuple[tuple[Any, ...], tuple[float, ...]]:
 
 def _reaching(
     options: tuple[Any, ...], shares: tuple[float, ...], angles: JointAngles | None
-) -> Reaching:
+) -> Reaching | ToolPassing:
     if angles is None:
         raise ValueError("goal is a region for a tool, but the primitive has no robot")
     if not all(isinstance(option, GoalRegion) for option in options):
         raise ValueError(f"goal must be regions for the tool or places of the path, got {options}")
+    if any(option.orientation is not None for option in options):
+        return ToolPassing("goal", 1.0, options, angles.robot.model, shares)
     return Reaching(options, angles.robot.model, shares)
 
 
@@ -116,7 +132,7 @@ def _passing(
 ) -> Passing:
     options, shares = _options(request)
     for option in options:
-        if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint):
+        if name in ("start", "goal") and isinstance(option, GoalRegion | ViaPoint | ToolViaPoint):
             raise ValueError(f"{name} must be a point, a Box or AnyOf of such, got {option!r}")
     places = [
         _place(name, phase, frame, option, share, sigma, angles)
@@ -177,4 +193,26 @@ def _refuse_contradiction(frame: Frame, first: Passing, second: Passing) -> None
     raise ValueError(
         f"{first.name} and {second.name} contradict each other at phase {first.phase}: no path "
         f"passes {places} at once; for a choice of places use AnyOf"
+    )
+
+
+def _refuse_places_apart(first: ToolPassing, second: ToolPassing) -> None:
+    """Raise a ValueError if a point of the tool would have to be in two places at once."""
+    if abs(first.phase - second.phase) > _SAME:
+        return
+    for a in first.places:
+        for b in second.places:
+            if not np.array_equal(a.point, b.point):
+                return
+            # How far apart two places are is bounded by that of a ball around one of them.
+            reach = a.tolerance if isinstance(a, ToolViaPoint) else 0.0
+            nearest = (
+                a.center if isinstance(a, ToolViaPoint) else np.clip(b.center, a.lower, a.upper)
+            )
+            if float(b.distance(nearest)) <= reach + _SAME:
+                return
+    places = " and ".join(f"{np.round(c.places[0].center, 6)}" for c in (first, second))
+    raise ValueError(
+        f"{first.name} and {second.name} contradict each other at phase {first.phase}: no tool is "
+        f"at {places} at once; for a choice of places use AnyOf"
     )

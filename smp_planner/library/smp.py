@@ -41,7 +41,8 @@ from smp_planner.planning.pipeline import checked_deadline, checked_history, pla
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
 from smp_planner.planning.settings import MOST_PARTICLES, PlanSettings, PriorSettings
-from smp_planner.planning.tool_goals import GoalRegion
+from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
+from smp_planner.planning.tool_orientations import Cone, Orientation
 from smp_planner.torch_threads import one_thread
 
 __all__ = [
@@ -50,12 +51,15 @@ __all__ = [
     "AnyOf",
     "Box",
     "Circle",
+    "Cone",
     "GoalRegion",
+    "Orientation",
     "Plan",
     "PointCloud",
     "PriorSettings",
     "Rectangle",
     "Robot",
+    "ToolViaPoint",
     "ViaPoint",
 ]
 
@@ -212,7 +216,10 @@ class SMP:
         *,
         start: Request | None = None,
         goal: Request | None = None,
-        via_points: Sequence[ViaPoint | AnyOf] | ViaPoint | AnyOf = (),
+        via_points: Sequence[ViaPoint | ToolViaPoint | AnyOf]
+        | ViaPoint
+        | ToolViaPoint
+        | AnyOf = (),
         radius: float = 0.0,
         particles: int = 42,
         seed: int = 0,
@@ -233,8 +240,10 @@ class SMP:
                 `smp_gym.scene.Obstacle`s and one `PointCloud`. One may be given alone.
             start: (D,) where to begin, a `Box`, or `AnyOf` such; None leaves it as demonstrated.
                 Angles of continuous joints are turned to the branch nearest to demonstrations.
-            goal: likewise, where to end; for a robot also a `GoalRegion` of its tool.
-            via_points: what to pass in between; `AnyOf` several of one phase for a choice.
+            goal: likewise, where to end; for a robot also a `GoalRegion` of its tool, with any
+                orientation or a `Cone` or `Orientation`.
+            via_points: what to pass in between, of a robot also `ToolViaPoint`s; `AnyOf` several
+                of one phase for a choice.
             radius: of the ball that moves; 0 is a point. A robot has none.
             particles: how many, P.
             seed: of all randomness; the same call gives the same plan.
@@ -254,8 +263,8 @@ class SMP:
             ValueError: an argument out of range, of another dimension than the demonstrations, or
                 contradicting another; more exact places than basis functions, or such that swing
                 the path far out between them; a start, goal or via-point beyond a joint's limits
-                by more than 1e-6 rad; a start, goal or via-point inside an obstacle; or a region
-                that the robot does not reach.
+                by more than 1e-6 rad; a start, goal or via-point inside an obstacle; or a place
+                of the tool that the robot does not reach, or not with its orientation.
         """
         begin = time.perf_counter()
         settings = AdaptSettings() if settings is None else settings
@@ -267,7 +276,7 @@ class SMP:
         settings = settings.model_copy(update={"particles": particles})
         seed, radius = checked_seed(seed), checked_number("radius", radius, least=0.0)
         obstacles = several("obstacles", obstacles, get_args(PathObstacle))
-        via_points = several("via_points", via_points, (ViaPoint, AnyOf))
+        via_points = several("via_points", via_points, (ViaPoint, ToolViaPoint, AnyOf))
         constraints = constraints_of(
             self.frame, start, via_points, goal, settings.sigma, self._angles
         )

@@ -27,6 +27,7 @@ __all__ = ["read_primitive", "write_primitive"]
 
 _HEADER = {"format": "smp_planner.primitive", "version": 1}
 _CHAIN = ("base", "joint_origins", "end_effector", "lower", "upper", "velocity")
+_LINKS = ("base_links", "tip_links")
 _SPHERES = ("link", "center", "radius")
 
 
@@ -53,9 +54,10 @@ def write_primitive(
     if robot is not None:
         arrays["joints"] = np.array(json.dumps(robot.joints))
         arrays["continuous"] = np.array(robot.continuous)
-        links = {name: pose.tolist() for name, pose in robot.base_links.items()}
         arrays["standing"] = np.array(json.dumps(dict(robot.standing)))
-        arrays["base_links"] = np.array(json.dumps(links))
+        for field in _LINKS:
+            links = {name: pose.tolist() for name, pose in getattr(robot, field).items()}
+            arrays[field] = np.array(json.dumps(links))
         arrays |= {f"robot_{name}": getattr(robot.model, name) for name in _CHAIN}
         arrays |= {f"spheres_{name}": getattr(robot.model.spheres, name) for name in _SPHERES}
     write_archive(path, _HEADER, arrays)
@@ -94,10 +96,13 @@ def read_primitive(
                     name: checked_number(f"standing[{name!r}]", position)
                     for name, position in _named(arrays, "standing").items()
                 },
-                {
-                    name: checked_array(f"base_links[{name!r}]", pose, (4, 4))
-                    for name, pose in _named(arrays, "base_links").items()
-                },
+                *(
+                    {
+                        name: checked_array(f"{field}[{name!r}]", pose, (4, 4))
+                        for name, pose in _named(arrays, field).items()
+                    }
+                    for field in _LINKS
+                ),
             )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error

@@ -46,6 +46,8 @@ class Robot:
         visuals: what is seen of it, shapes with the number of the link of `model` that each is
             fixed to; of links without visual shapes, or with one that cannot be read, it is the
             collision shapes. Files of `SMP.save` do not hold them.
+        tip_links: (4, 4) poses in the tip's frame of all links that move as the tip does, it among
+            them, by name.
     """
 
     model: RobotModel
@@ -54,6 +56,7 @@ class Robot:
     standing: Mapping[str, float] = field(default_factory=dict)
     base_links: Mapping[str, FloatArray] = field(default_factory=dict)
     visuals: tuple[tuple[int, Shape], ...] = ()
+    tip_links: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
@@ -126,6 +129,15 @@ class Robot:
     def tool_positions(self, configurations: FloatArray) -> FloatArray:
         """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
         return self.model.carried_points(configurations, np.zeros(3))[0]
+
+    def tool_quaternions(self, configurations: FloatArray) -> FloatArray:
+        """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad.
+
+        From the tip's frame to that of the root link.
+        """
+        rotations = self.model.tool_rotations(configurations)[0]
+        flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+        return np.asarray(flat.reshape(*rotations.shape[:-2], 4))
 
     def configuration(
         self, positions: Mapping[str, float], *, ignored: Iterable[str] = ()
@@ -381,7 +393,11 @@ def _assembled(
         for name, (index, pose) in placed.items()
         for shape in links[name].visuals or links[name].shapes
     )
-    return Robot(model, names, continuous, standing, base_links, visuals)
+    last, tool = placed[tip]
+    tip_links = {
+        name: np.linalg.inv(tool) @ pose for name, (index, pose) in placed.items() if index == last
+    }
+    return Robot(model, names, continuous, standing, base_links, visuals, tip_links)
 
 
 def _turning_z_to(axis: FloatArray) -> FloatArray:

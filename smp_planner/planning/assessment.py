@@ -22,6 +22,7 @@ from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.ranking import Merits, demanded_and_merit, rank
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_passing import ToolPassing
 
 __all__ = [
     "Verdict",
@@ -297,6 +298,10 @@ def constraints_met(
         passing &= value <= constraint.slack(settings)
         if constraint.cost(settings) is not None:
             missed[constraint.name] = np.maximum(value, 0.0)
+        if isinstance(constraint, ToolPassing) and constraint.oriented:
+            turned = constraint.turned(trajectories)
+            passing &= turned <= constraint.slack(settings)
+            missed[f"{constraint.name} orientation"] = turned
     return missed, passing
 
 
@@ -385,10 +390,14 @@ def signatures(problem: Problem, trajectories: FloatArray) -> IntArray:
     what crosses the circle around its outline as seen from above.
     """
     movable = problem.movable
-    reaching = [c for c in problem.constraints if isinstance(c, Reaching)]
+    reaching = [
+        (c, c.goals if isinstance(c, Reaching) else c.places)
+        for c in problem.constraints
+        if isinstance(c, Reaching | ToolPassing) and c.phases == (1.0,)
+    ]
     ends = np.zeros(len(trajectories), np.int64)
     if reaching:
-        ends = reaching[0].distances(trajectories).argmin(axis=0)
+        ends = reaching[0][0].distances(trajectories).argmin(axis=0)
     last = trajectories.shape[1] - 1
     steps = np.unique(
         np.linspace(0, last, min(_SIGNATURE_SAMPLES, last + 1)).round().astype(np.int64)
@@ -396,7 +405,7 @@ def signatures(problem: Problem, trajectories: FloatArray) -> IntArray:
     passed: list[FloatArray] = [np.empty(0)] * len(trajectories)
     for number in np.unique(ends):
         of_goal = np.flatnonzero(ends == number)
-        point = reaching[0].goals[number].point if reaching else None
+        point = reaching[0][1][number].point if reaching else None
         paths = problem.body.paths(trajectories[of_goal][:, steps], point)
         for index, signature in zip(of_goal, _passing(paths, movable), strict=True):
             passed[index] = signature

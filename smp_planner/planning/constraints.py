@@ -118,6 +118,14 @@ def spread_to_steps(gradient: FloatArray, phases: ArrayLike, steps: int) -> Floa
     return np.asarray(shares @ gradient)
 
 
+def _refuse_orientations(name: str, places: Sequence[GoalRegion | ToolViaPoint]) -> None:
+    for index, place in enumerate(places):
+        if place.orientation is not None:
+            raise ValueError(
+                f"{name}[{index}].orientation must be None here, got {place.orientation!r}"
+            )
+
+
 class ToolBoxes(NamedTuple):
     """Boxes in which a point carried by the hand must be.
 
@@ -317,7 +325,8 @@ class Reaching:
         name: what the user calls it.
 
     Raises:
-        ValueError: no region, or `shares` are not as many positive numbers.
+        ValueError: no region, one with an orientation, which is for `ToolPassing`, or `shares` are
+            not as many positive numbers.
     """
 
     goals: tuple[GoalRegion, ...]
@@ -328,6 +337,7 @@ class Reaching:
     def __post_init__(self) -> None:
         if not len(self.goals):
             raise ValueError("goals must hold at least one GoalRegion, got none")
+        _refuse_orientations("goals", self.goals)
         shares = np.asarray(self.shares or np.ones(len(self.goals)), np.float64)
         if shares.shape != (len(self.goals),) or not (np.isfinite(shares) & (shares > 0)).all():
             raise ValueError(
@@ -414,11 +424,17 @@ class ToolPath:
         via_points: at least one, in the order of their phases.
         robot: whose tool it is.
         name: what the user calls it.
+
+    Raises:
+        ValueError: a via-point with an orientation, which is for `ToolPassing`.
     """
 
     via_points: tuple[ToolViaPoint, ...]
     robot: RobotModel
     name: str = "via_points"
+
+    def __post_init__(self) -> None:
+        _refuse_orientations("via_points", self.via_points)
 
     @property
     def phases(self) -> tuple[float, ...]:

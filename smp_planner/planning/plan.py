@@ -61,7 +61,9 @@ class Plan:
             that move it is that to where they are expected when the arm is there, less the margin
             of that (`smp_planner.collision.moving.Forecast`).
         missed: by how much (P,) each constraint is missed by its name ("start", "goal",
-            "via_points"); 0 within a box or tolerance.
+            "via_points"); 0 within a box or tolerance. Where the orientation of a robot's tool is
+            constrained, too, that by which it is missed has the name with " orientation" added, rad
+            (`planning.tool_orientations`).
         passing: (P,) whether all constraints are met.
         duration: (P,) s, shortest execution within the joint velocity limits, of what is not done
             yet; NaN without a robot.

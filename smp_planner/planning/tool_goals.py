@@ -8,6 +8,7 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_planner.movement_primitives.box_prior import box_offset
+from smp_planner.planning.tool_orientations import ToolOrientation, checked_orientation
 
 __all__ = ["GoalRegion", "ToolViaPoint", "ViaPose"]
 
@@ -24,11 +25,14 @@ class GoalRegion:
         point: (3,) m, fixed in the end-effector frame (for Placement, the object's centre).
         lower: (3,) m, lower corner of the box in the base frame.
         upper: (3,) m, upper corner.
+        orientation: that the hand must have there, a `Cone` or an `Orientation`; None leaves it
+            free. Problems of the environments' tasks have it free.
     """
 
     point: FloatArray
     lower: FloatArray
     upper: FloatArray
+    orientation: ToolOrientation | None = None
 
     def __post_init__(self) -> None:
         for name in ("point", "lower", "upper"):
@@ -36,6 +40,7 @@ class GoalRegion:
             object.__setattr__(self, name, value)
         if not (self.lower <= self.upper).all():
             raise ValueError(f"GoalRegion.lower {self.lower} must not exceed upper {self.upper}")
+        checked_orientation("GoalRegion.orientation", self.orientation)
 
     @property
     def center(self) -> FloatArray:
@@ -76,12 +81,14 @@ class ToolViaPoint:
         point: (3,) m, fixed in the end-effector frame (for DrawS, the pen's tip).
         position: (3,) m, of the place in the base frame.
         tolerance: m, how near the point must come.
+        orientation: as of `GoalRegion`.
     """
 
     phase: float
     point: FloatArray
     position: FloatArray
     tolerance: float
+    orientation: ToolOrientation | None = None
 
     def __post_init__(self) -> None:
         for name in ("point", "position"):
@@ -89,3 +96,14 @@ class ToolViaPoint:
             object.__setattr__(self, name, value)
         _checked_phase("ToolViaPoint", self.phase)
         checked_number("ToolViaPoint.tolerance", self.tolerance, above=0.0)
+        checked_orientation("ToolViaPoint.orientation", self.orientation)
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) m, the place."""
+        return self.position
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return by how much points (..., 3) m miss the place, (...) m; 0 within the tolerance."""
+        away = np.linalg.norm(points - self.position, axis=-1)
+        return np.maximum(away - self.tolerance, 0.0)

@@ -319,8 +319,9 @@ def test_goals_are_joints_by_name():
     assert goals_of({"goal_constraints": [goal, goal]}) == ({"a": 0.5}, {"a": 0.5})
     assert goals_of({}) == ()
     for entry, named in (
-        ({"position_constraints": [{}]}, r"\[0\] has position_constraints, but only joint"),
-        ({**goal, "orientation_constraints": [{}]}, "has orientation_constraints"),
+        ({**goal, "position_constraints": [{}]}, r"\[0\] has position_constraints, but only joint"),
+        ({**goal, "orientation_constraints": [{}]}, "has orientation_constraints, but only joint"),
+        ({"visibility_constraints": [{}]}, "has visibility_constraints, but only joint"),
         ({}, "joint_constraints must hold at least one joint"),
         ({"joint_constraints": [{"joint_name": "a"}]}, r"\[0\].position must hold finite numbers"),
         ({"joint_constraints": goal["joint_constraints"] * 2}, "each joint once, got 'a'"),

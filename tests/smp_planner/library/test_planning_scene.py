@@ -473,7 +473,8 @@ def test_bad_positions_are_named(tmp_path, positions, arguments, named):
         ({"workspace": 1}, "it must have start_state or goal_constraints, got ['workspace']"),
         ({"start_state": 3}, "start_state must be a mapping"),
         ({"start_state": moved("planar")}, "start_state moves the robot's base by 'planar'"),
-        ({"goal_constraints": [{"position_constraints": [{}]}]}, "only joint_constraints"),
+        ({"goal_constraints": [{"visibility_constraints": [{}]}]}, "only joint_constraints"),
+        ({"goal_constraints": [{"position_constraints": [{}]}]}, "link_name must name a link"),
         ({"goal_constraints": [], "path_constraints": {"position_constraints": [1]}}, "the path"),
     ],
 )
