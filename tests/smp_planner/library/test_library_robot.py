@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.adaptation import adaptation
@@ -124,20 +123,6 @@ def test_spheres_cover_the_collision_shapes(jaco, seven):
     assert (gap.min(axis=1) <= 0.2).all()
     assert ((gap - seven.model.radius[on_last]).min(axis=1) <= 1e-9).all()
     assert set(jaco.model.link) == set(range(7))
-
-
-@pytest.mark.parametrize("half", [(0.05, 0.05, 0.05), (0.2, 0.03, 0.1), (0.01, 0.3, 0.01)])
-def test_boxes_are_covered_and_not_by_much_more(half):
-    spheres = REGISTRY["box"].cover(np.array(half), 0.06)
-    _check_covers(spheres, trimesh.creation.box(2.0 * np.array(half)).sample(3000), 0.06)
-
-
-@pytest.mark.parametrize(("radius", "half"), [(0.04, 0.2), (0.1, 0.02), (0.03, 0.001)])
-def test_cylinders_are_covered(radius, half):
-    mesh = trimesh.creation.cylinder(radius, 2.0 * half)
-    _check_covers(
-        REGISTRY["cylinder"].cover(np.array([radius, radius, half]), 0.06), mesh.sample(3000), 0.06
-    )
 
 
 def test_meshes_are_covered(tmp_path):
