@@ -32,6 +32,7 @@ EXAMPLES = [
         "kill_runs",
         "leaderboard",
         "lasa",
+        "link_covers",
         "make_benchmark",
         "make_jaco_assets",
         "measure_maps",

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.compiling import kernel
 
-__all__ = ["MOST_CELLS", "MOST_PATCHES", "closed_mesh", "tight_cover"]
+__all__ = ["MOST_CELLS", "MOST_PATCHES", "GriddedBody", "closed_mesh", "tight_cover"]
 
 MOST_CELLS = 20_000_000
 """Cells of the grid that tells the inside of a body at most."""
@@ -98,7 +98,7 @@ def tight_cover(mesh: Any, overshoot: float) -> FloatArray:
     cells = float(np.prod(np.ceil(solid.extents / (_PITCH * overshoot)) + 5.0))
     if cells > MOST_CELLS:
         raise ValueError(f"its inside would be told on {cells:.3g} cells, beyond {MOST_CELLS}")
-    body = _Body(solid, overshoot)
+    body = GriddedBody(solid, overshoot)
     patches = _cut(np.asarray(solid.triangles), _PATCH * overshoot)
     patches = patches[body.is_outer(patches.mean(axis=1))]
     return _shrunk(body, patches, _selected(body, patches, overshoot))
@@ -129,7 +129,7 @@ def _unrepeated(points: FloatArray) -> FloatArray:
     return ordered[np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))]
 
 
-class _Body:
+class GriddedBody:
     """What a closed mesh holds, on a grid.
 
     Attributes:
@@ -184,7 +184,7 @@ class _Body:
         return np.asarray(self._outer[tuple(self._places(points).T)])
 
 
-def _selected(body: _Body, patches: FloatArray, overshoot: float) -> FloatArray:
+def _selected(body: GriddedBody, patches: FloatArray, overshoot: float) -> FloatArray:
     """Return spheres (S, 4) that hold each patch and each cell of the inside."""
     balls = np.column_stack([body.centers, body.radii])
     chosen, left = _greedy(balls, patches, 0.0, overshoot)
@@ -284,7 +284,7 @@ def _set_cover(holds: NDArray[np.float32], worth: NDArray[np.float32]) -> IntArr
         worth = np.where(holds[best] > 0.0, np.float32(0.0), worth)
 
 
-def _shrunk(body: _Body, patches: FloatArray, spheres: FloatArray) -> FloatArray:
+def _shrunk(body: GriddedBody, patches: FloatArray, spheres: FloatArray) -> FloatArray:
     """Return the spheres that are needed, each no larger than what it alone is to hold."""
 
     def reach(center: FloatArray) -> FloatArray:

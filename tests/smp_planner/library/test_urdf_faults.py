@@ -65,7 +65,10 @@ def block():
         ('<mesh filename="http://a/block.stl"/>', "link 'arm', .* is no name of a file"),
         ("<mesh/>", "link 'arm', mesh, names the mesh '', which is no name"),
         ('<mesh filename="../out.stl"/>', "link 'arm', .* lies outside of the folders"),
-        ('<box size="90 90 90"/>', "box of link 'arm', 90 x 90 x 90 m, .* choose a larger overshoot"),
+        (
+            '<box size="90 90 90"/>',
+            "box of link 'arm', 90 x 90 x 90 m, .* choose a larger overshoot",
+        ),
         (
             '<mesh filename="block.stl" scale="1000 1000 1000"/>',
             "mesh of link 'arm', 100 x 100 x 100 m, .* millimetres",
