@@ -37,6 +37,7 @@ EXAMPLES = [
         "make_jaco_assets",
         "measure_maps",
         "motion_durations",
+        "narrow_places",
         "particle_figures",
         "run_notebook",
         "speed_costs",

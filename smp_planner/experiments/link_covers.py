@@ -122,7 +122,9 @@ def link_covers(arm: str, bounds: Sequence[float], planned: bool) -> list[LinkCo
 def _planning(arm: str, overshoot: float) -> float:
     """Return the processor time, s, of the second of two plans around a ball."""
     robot = PUBLIC_ARMS[arm].robot(overshoot)
-    demonstrations = swings(PUBLIC_ARMS[arm].ready, np.random.default_rng(0))
+    aside = 0.8 * np.eye(robot.dimension)[0]
+    ready = np.array(PUBLIC_ARMS[arm].ready)
+    demonstrations = swings(ready - aside, ready + aside, np.random.default_rng(0))
     primitive = SMP.fit(demonstrations, robot=robot)
     x, y, z = robot.tool_positions(demonstrations[0])[50].tolist()
     ball = Obstacle(shape="sphere", position=(x, y, z), size=(0.06, 0.06, 0.06))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from smp_gym.arrays import FloatArray
 from smp_gym.assets import asset_path
@@ -26,7 +26,7 @@ class PublicArm:
         package: distribution that brings the file; None for that of this project.
         file: in the folder into which packages are installed, or among the assets.
         tip: link that is the tool.
-        ready: (n) rad, a posture before the body, from which swings go to either side.
+        ready: (n) rad, a posture with the tool in front, above where things stand.
     """
 
     package: str | None
@@ -79,25 +79,24 @@ PUBLIC_ARMS = {
 
 
 def swings(
-    ready: Sequence[float], rng: np.random.Generator, count: int = 7, samples: int = 100
+    start: ArrayLike, goal: ArrayLike, rng: np.random.Generator, count: int = 7, samples: int = 100
 ) -> FloatArray:
-    """Return demonstrations (count, samples, n) rad from the right to the left, each bent anew.
+    """Return demonstrations (count, samples, n) rad from one posture to another, each bent anew.
 
     Args:
-        ready: (n) rad, the middle of all.
+        start: (n,) rad, where they begin, up to 0.05 rad.
+        goal: (n,) rad, where they end, likewise.
         rng: of ends and bends.
         count: of demonstrations.
         samples: of each.
     """
-    middle = np.asarray(ready, np.float64)
+    ends = np.stack([np.asarray(start, np.float64), np.asarray(goal, np.float64)])
     share = np.linspace(0.0, 1.0, samples)
     rise = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    aside = np.zeros(len(middle))
-    aside[0] = 0.8
-    ends = rng.normal(0.0, 0.05, (count, 2, len(middle))) + np.array([-aside, aside]) + middle
-    bends = rng.normal(0.0, 0.12, (count, 1, len(middle)))
+    varied = ends + rng.normal(0.0, 0.05, (count, *ends.shape))
+    bends = rng.normal(0.0, 0.12, (count, 1, ends.shape[1]))
     return np.asarray(
-        ends[:, :1]
-        + rise[:, None] * (ends[:, 1:] - ends[:, :1])
+        varied[:, :1]
+        + rise[:, None] * (varied[:, 1:] - varied[:, :1])
         + np.sin(np.pi * rise)[:, None] * bends
     )
