@@ -2,8 +2,8 @@
 
 The ball around a point that lies d deep in a body stands out by r - d at most, r its radius: for a
 bound b each point has a largest ball, r = d + b. Of these balls a greedy set cover (Chvatal 1979)
-takes few. What is to be covered are triangles, each held by one ball with its three corners and so
-with all its points, and cubes of the inside: the cover has no hole between samples.
+takes few. What is to be covered are prisms of the outermost layer, each held by one ball with its
+six corners and so with all its points, and cubes of the inside: there is no hole between samples.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PITCH = 1.0 / 3.0
 """Bounds, side of a cell: a cube of the inside is held by the largest ball around its middle."""
 
 _PATCH = 0.5
-"""Bounds, longest edge of a triangle: the ball of one bound around its centroid holds it."""
+"""Bounds, longest edge of a triangle: the ball of one bound around its centroid holds its prism."""
 
 _SAMPLE = 0.8
 """Cells, longest edge of the triangles whose corners mark the cells of the surface. Below 0.86 no
@@ -100,7 +100,7 @@ def tight_cover(mesh: Any, overshoot: float) -> FloatArray:
         raise ValueError(f"its inside would be told on {cells:.3g} cells, beyond {MOST_CELLS}")
     body = GriddedBody(solid, overshoot)
     patches = _cut(np.asarray(solid.triangles), _PATCH * overshoot)
-    patches = patches[body.is_outer(patches.mean(axis=1))]
+    patches = body.layer(patches[body.is_outer(patches.mean(axis=1))])
     return _shrunk(body, patches, _selected(body, patches, overshoot))
 
 
@@ -151,6 +151,7 @@ class GriddedBody:
         parts, _ = label(~surface)
         outside = parts == parts[0, 0, 0]
         # Surfaces deep inside bound nothing: only those are kept that the outside touches.
+        self._outside = outside
         self._outer = binary_dilation(outside, np.ones((3, 3, 3)), iterations=2)
         samples = _unrepeated(samples[self._outer[tuple(places.T)]])
         where = np.argwhere(~(outside | (surface & self._outer)))
@@ -179,6 +180,26 @@ class GriddedBody:
     def _middles(self, places: IntArray) -> FloatArray:
         return np.asarray(self._origin + self._pitch * (places + 0.5))
 
+    def layer(self, triangles: FloatArray) -> FloatArray:
+        """Return prisms (N, 6, 3) from triangles (N, 3, 3) of the surface inwards.
+
+        They are as high as a cell's diagonal: no point inside that is in a cell of the surface is
+        farther from it. Inwards is where the outside is not; where it is on both sides, the body is
+        thinner than that, and the side is that of the mesh.
+        """
+        first, second, third = np.moveaxis(triangles, 1, 0)
+        normals = np.cross(second - first, third - first)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        inwards = -2.0 * self.half_diagonal * normals
+        middles = triangles.mean(axis=1)
+        free = [self._is_outside(middles + side * inwards) for side in (1.0, -1.0)]
+        inwards[free[0] & ~free[1]] *= -1.0
+        return np.concatenate([triangles, triangles + inwards[:, None]], axis=1)
+
+    def _is_outside(self, points: FloatArray) -> NDArray[np.bool_]:
+        places = np.clip(self._places(points), 0, np.array(self._outside.shape) - 1)
+        return np.asarray(self._outside[tuple(places.T)])
+
     def is_outer(self, points: FloatArray) -> NDArray[np.bool_]:
         """Return whether points (N, 3) of the surface can be reached from outside."""
         return np.asarray(self._outer[tuple(self._places(points).T)])
@@ -189,9 +210,9 @@ def _selected(body: GriddedBody, patches: FloatArray, overshoot: float) -> Float
     balls = np.column_stack([body.centers, body.radii])
     chosen, left = _greedy(balls, patches, 0.0, overshoot)
     # Where the body is thinner than the grid, balls stand on the surface.
-    thin = _of_radius(left.mean(axis=1), overshoot)
+    thin = _of_radius(left[:, :3].mean(axis=1), overshoot)
     on_surface, left = _greedy(thin, left, 0.0, overshoot)
-    assert not len(left), "the ball of one bound around its centroid holds a patch"
+    assert not len(left), "the ball of one bound around its centroid holds a prism"
     spheres = np.concatenate([chosen, on_surface])
     cells = body.inside[:, None]
     holes = cells[~_held(spheres, cells, body.half_diagonal)]
