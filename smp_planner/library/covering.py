@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from smp_gym.arrays import FloatArray
-from smp_planner.library.tight_cover import tight_cover
+from smp_planner.library.tight_cover import TooLargeError, tight_cover
 from smp_planner.library.urdf_reading import Link, Shape
 
 __all__ = [
@@ -79,7 +79,7 @@ def _cover_shape(shape: Shape, link: str, overshoot: float) -> FloatArray:
         mesh, overshoot = _prism(*shape.size.tolist(), overshoot)
     try:
         return tight_cover(mesh, overshoot)
-    except ValueError as error:
+    except TooLargeError as error:
         raise ValueError(
             f"the {shape.kind} of link {link!r}, {size_of(mesh.extents)}, is too large to be "
             f"covered with overshoot={overshoot:.3g} m, {error}: choose a larger overshoot or, "

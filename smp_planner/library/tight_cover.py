@@ -22,7 +22,14 @@ from scipy.spatial import cKDTree
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.compiling import kernel
 
-__all__ = ["MOST_CELLS", "MOST_PATCHES", "GriddedBody", "closed_mesh", "tight_cover"]
+__all__ = [
+    "MOST_CELLS",
+    "MOST_PATCHES",
+    "GriddedBody",
+    "TooLargeError",
+    "closed_mesh",
+    "tight_cover",
+]
 
 MOST_CELLS = 20_000_000
 """Cells of the grid that tells the inside of a body at most."""
@@ -54,6 +61,10 @@ _LEEWAY = 0.005
 
 _COARSENESS = 0.4
 """Radii of the largest balls, distance of their centres."""
+
+
+class TooLargeError(ValueError):
+    """A body is too large for a bound."""
 
 
 def closed_mesh(mesh: Any) -> Any:
@@ -91,13 +102,13 @@ def tight_cover(mesh: Any, overshoot: float) -> FloatArray:
         overshoot: m, largest distance of a point of a sphere from the body, positive.
 
     Raises:
-        ValueError: the mesh is so large that the grid would have more than `MOST_CELLS` cells, or
+        TooLargeError: the mesh is so large that the grid would have more than `MOST_CELLS` cells, or
             would be cut into more than `MOST_PATCHES` triangles.
     """
     solid = closed_mesh(mesh)
     cells = float(np.prod(np.ceil(solid.extents / (_PITCH * overshoot)) + 5.0))
     if cells > MOST_CELLS:
-        raise ValueError(f"its inside would be told on {cells:.3g} cells, beyond {MOST_CELLS}")
+        raise TooLargeError(f"its inside would be told on {cells:.3g} cells, beyond {MOST_CELLS}")
     body = GriddedBody(solid, overshoot)
     patches = _cut(np.asarray(solid.triangles), _PATCH * overshoot)
     patches = body.layer(patches[body.is_outer(patches.mean(axis=1))])
@@ -114,7 +125,7 @@ def _cut(triangles: FloatArray, longest: float) -> FloatArray:
         short.append(triangles[~long])
         count += 2 * len(triangles) - len(short[-1])
         if count > MOST_PATCHES:
-            raise ValueError(f"it would be cut into more than {MOST_PATCHES} triangles")
+            raise TooLargeError(f"it would be cut into more than {MOST_PATCHES} triangles")
         rows, first = rows[long], first[long]
         a, b, c = (triangles[rows, (first + k) % 3] for k in range(3))
         middle = (a + b) / 2
@@ -256,6 +267,8 @@ def _greedy(
 
     They are chosen for patches that are some distance apart, then for those that are left.
     """
+    if not len(balls):
+        return np.empty((0, 4)), patches
     chosen = [np.empty((0, 4))]
     hopeless = [np.empty((0, *patches.shape[1:]))]
     while len(patches):
