@@ -47,7 +47,7 @@ _PITCH = 1.0 / 3.0
 """Bounds, side of a cell: a cube of the inside is held by the largest ball around its middle."""
 
 _PATCH = 0.5
-"""Bounds, longest edge of a triangle: the ball of one bound around its centroid holds its prism."""
+"""Bounds, longest edge of a triangle: a ball of one bound around its centroid holds its prism."""
 
 _SAMPLE = 0.8
 """Cells, longest edge of the triangles whose corners mark the cells of the surface. Below 0.86 no
@@ -56,7 +56,10 @@ path between middles of neighbouring cells crosses the surface unmarked."""
 _THINNED = 0.5
 """Bounds, side of the cells of which one patch each stands for all."""
 
-_LEEWAY = 0.005
+_DEEPENING = 8
+"""Steps to where a point is deepest, each as long as before or half as long."""
+
+_LEEWAY = 0.001
 """Share by which a depth may be taken too small: it is found much faster."""
 
 _COARSENESS = 0.4
@@ -108,7 +111,7 @@ def tight_cover(mesh: Any, overshoot: float) -> FloatArray:
     solid = closed_mesh(mesh)
     cells = float(np.prod(np.ceil(solid.extents / (_PITCH * overshoot)) + 5.0))
     if cells > MOST_CELLS:
-        raise TooLargeError(f"its inside would be told on {cells:.3g} cells, beyond {MOST_CELLS}")
+        raise TooLargeError(f"its inside would take {cells:.3g} cells, beyond {MOST_CELLS}")
     body = GriddedBody(solid, overshoot)
     patches = _cut(np.asarray(solid.triangles), _PATCH * overshoot)
     patches = body.layer(patches[body.is_outer(patches.mean(axis=1))])
@@ -169,10 +172,7 @@ class GriddedBody:
         self.inside = self._middles(where)
         # Balanced trees are slow for the many equal coordinates of flat faces.
         tree = cKDTree(samples, balanced_tree=False)
-        distance = tree.query(self.inside, eps=_LEEWAY)[0] / (1.0 + _LEEWAY)
-        # A point of the surface is within this of a sample, across the line to it (Pythagoras).
-        gap = _SAMPLE * pitch / math.sqrt(3.0)
-        depth = np.sqrt(np.maximum(distance**2 - gap**2, 0.0))
+        depth = _depth(tree, self.inside, pitch)
         depths = np.zeros(shape)
         depths[tuple(where.T)] = depth
         ridge = maximum_filter(depths, 3)[tuple(where.T)] <= depth
@@ -180,10 +180,15 @@ class GriddedBody:
         while kept.sum() > _MOST_CENTERS or coarseness == _COARSENESS:
             spacing = np.maximum(coarseness * (depth + overshoot) / pitch, 1.0)
             step = 2 ** np.floor(np.log2(spacing)).astype(np.int64)
-            step[ridge] = np.maximum(step[ridge] // 2, 1)
             kept = (where % step[:, None] == 0).all(axis=1)
+            # A line of the deepest cells may miss that lattice: one of each block is kept.
+            step = np.maximum(step[ridge] // 2, 1)
+            blocks = np.column_stack([where[ridge] // step[:, None], step])
+            kept[np.flatnonzero(ridge)[np.unique(blocks, axis=0, return_index=True)[1]]] = True
             coarseness *= 1.25
-        self.centers, self.radii = self.inside[kept], depth[kept] + overshoot
+        at, deep = _deepened(tree, self.inside[kept & ridge], depth[kept & ridge], pitch)
+        self.centers = np.concatenate([self.inside[kept], at])
+        self.radii = np.concatenate([depth[kept], deep]) + overshoot
 
     def _places(self, points: FloatArray) -> IntArray:
         return np.floor((points - self._origin) / self._pitch).astype(np.int64)
@@ -214,6 +219,36 @@ class GriddedBody:
     def is_outer(self, points: FloatArray) -> NDArray[np.bool_]:
         """Return whether points (N, 3) of the surface can be reached from outside."""
         return np.asarray(self._outer[tuple(self._places(points).T)])
+
+
+def _depth(tree: cKDTree, points: FloatArray, pitch: float) -> FloatArray:
+    """Return how deep points (N, 3) inside are at least, m, from samples of the surface."""
+    distance = tree.query(points, eps=_LEEWAY)[0] / (1.0 + _LEEWAY)
+    # A point of the surface is within this of a sample, across the line to it (Pythagoras).
+    gap = _SAMPLE * pitch / math.sqrt(3.0)
+    return np.sqrt(np.maximum(distance**2 - gap**2, 0.0))
+
+
+def _deepened(
+    tree: cKDTree, points: FloatArray, depth: FloatArray, pitch: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return points (N, 3) moved to where they are deeper, as to the axis of a rod, and depths.
+
+    A step away from the surface is shorter than the depth, so that it stays inside.
+    """
+    points, depth = points.copy(), depth.copy()
+    step = np.full(len(points), pitch / 2)
+    for _ in range(_DEEPENING):
+        if not len(points):
+            break
+        away = points - tree.data[tree.query(points)[1]]
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
+        moved = points + np.minimum(step, 0.9 * depth)[:, None] * away
+        there = _depth(tree, moved, pitch)
+        deeper = there > depth
+        points[deeper], depth[deeper] = moved[deeper], there[deeper]
+        step[~deeper] /= 2
+    return points, depth
 
 
 def _selected(body: GriddedBody, patches: FloatArray, overshoot: float) -> FloatArray:
