@@ -105,8 +105,8 @@ def tight_cover(mesh: Any, overshoot: float) -> FloatArray:
         overshoot: m, largest distance of a point of a sphere from the body, positive.
 
     Raises:
-        TooLargeError: the mesh is so large that the grid would have more than `MOST_CELLS` cells, or
-            would be cut into more than `MOST_PATCHES` triangles.
+        TooLargeError: the grid would have more than `MOST_CELLS` cells, or the mesh would be cut
+            into more than `MOST_PATCHES` triangles.
     """
     solid = closed_mesh(mesh)
     cells = float(np.prod(np.ceil(solid.extents / (_PITCH * overshoot)) + 5.0))
