@@ -349,7 +349,7 @@ def test_a_robot_that_touches_itself_is_told_of(seven, caplog):
     assert gap.min() < -0.005 < 0.05 < gap.max()
     assert (gap < 0.0).mean() < 0.5
     clear = [open_ + s * np.linspace(0.0, 0.02, 60)[:, None] for s in (1.0, -1.0, 0.5)]
-    touching = np.linspace(folded, folded + 0.01, 60)
+    touching = np.linspace(folded, folded + 1e-5, 60)
     with caplog.at_level(logging.WARNING):
         kept = SMP.fit(clear, robot=seven).robot.model.collision_pairs
     assert "links 1 and 7" not in caplog.text
@@ -367,7 +367,7 @@ def test_the_limit_of_duration_follows_demonstrations_and_is_told_of(seven, capl
     slow = dataclasses.replace(seven.model, velocity=np.full(7, 0.02))
     robot = dataclasses.replace(seven, model=slow)
     ends = np.linspace(-0.3, 0.3, 80)[:, None] * np.ones(7)
-    primitive = SMP.fit([ends, ends + 0.02, ends - 0.02], robot=robot)
+    primitive = SMP.fit([ends, ends + 0.02, ends - 0.02], robot=robot, smooth_std=0.005)
     ask = {"start": ends[0], "goal": ends[-1], "particles": 4, "method": "promp"}
     with caplog.at_level(logging.WARNING):
         plan = primitive.adapt(**ask)
