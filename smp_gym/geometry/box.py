@@ -68,16 +68,6 @@ class Box(Shape):
         radius = np.linalg.norm(turned[:, :2], axis=1).max()
         return float(radius), float(np.abs(turned[:, 2]).max())
 
-    def cover(self, size: FloatArray, cell: float) -> FloatArray:
-        """Return spheres (S, 4) around equal cells of a box, each the ball through its corners."""
-        # Cells that only cover what other balls cover anyway are left out.
-        half = np.asarray(size, np.float64)
-        counts = np.ceil(2.0 * half / cell - 1e-9).astype(int)
-        axes = [h * ((2 * np.arange(n) + 1) / n - 1) for h, n in zip(half, counts, strict=True)]
-        center = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        center = center[~(np.abs(center) < half - 2.0 * half / counts).all(axis=1)]
-        return np.column_stack([center, np.full(len(center), np.linalg.norm(half / counts))])
-
     def faces(self, size: FloatArray) -> list[FloatArray]:
         """Return the six sides (4, 3) m."""
         square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])

@@ -9,7 +9,6 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray
 from smp_gym.compiling import kernel
-from smp_gym.geometry.box import Box
 from smp_gym.geometry.shape import Shape, revolved
 
 __all__ = ["Cylinder"]
@@ -67,17 +66,6 @@ class Cylinder(Shape):
         lean = float(np.hypot(*rotation[:2, 2]))
         upright = float(abs(rotation[2, 2]))
         return size[0] + lean * size[2], upright * size[2] + lean * size[0]
-
-    def cover(self, size: FloatArray, cell: float) -> FloatArray:
-        """Return spheres (S, 4) around slices of a slender cylinder, or cells of a flat one."""
-        radius, _, half_height = size
-        if radius > max(cell, half_height):
-            return Box().cover(size, cell)
-        count = int(np.ceil(2.0 * half_height / cell - 1e-9))
-        spheres = np.zeros((count, 4))
-        spheres[:, 2] = half_height * ((2 * np.arange(count) + 1) / count - 1)
-        spheres[:, 3] = np.hypot(radius, half_height / count)
-        return spheres
 
     def faces(self, size: FloatArray) -> list[FloatArray]:
         """Return the quadrilaterals (4, 3) m of side and ends."""

@@ -76,10 +76,6 @@ class Shape(ABC):
         """
 
     @abstractmethod
-    def cover(self, size: FloatArray, cell: float) -> FloatArray:
-        """Return spheres (S, 4), centre and radius, that cover a body; pieces up to `cell` m."""
-
-    @abstractmethod
     def faces(self, size: FloatArray) -> list[FloatArray]:
         """Return the polygons (V, 3) m of a body's surface, each with four corners, for drawing."""
 

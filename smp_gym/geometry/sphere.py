@@ -61,10 +61,6 @@ class Sphere(Shape):
         """Return radius and half height of an upright cylinder around a sphere."""
         return float(size[0]), float(size[0])
 
-    def cover(self, size: FloatArray, cell: float) -> FloatArray:
-        """Return the sphere itself (1, 4)."""
-        return np.array([[0.0, 0.0, 0.0, float(size[0])]])
-
     def faces(self, size: FloatArray) -> list[FloatArray]:
         """Return the quadrilaterals (4, 3) m between meridians and parallels."""
         polar = np.linspace(-np.pi / 2, np.pi / 2, _RINGS + 1)

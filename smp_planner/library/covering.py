@@ -1,7 +1,8 @@
-"""Spheres that cover the collision shapes of a robot's links, as few as a bound allows."""
+"""Spheres that cover the collision shapes of a robot's links, and the surfaces of meshes."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import trimesh
 
 from smp_gym.arrays import FloatArray
-from smp_gym.geometry.registry import REGISTRY
+from smp_planner.library.tight_cover import TooLargeError, tight_cover
 from smp_planner.library.urdf_reading import Link, Shape
 
 __all__ = [
@@ -28,6 +29,9 @@ MOST_SPHERES = 4096
 _MOST_TRIANGLES = 1_000_000
 """Triangles that those of a mesh are cut into at most."""
 
+_OF_PRISM = 0.1
+"""Share of the overshoot by which the edges of a prism stand out of its cylinder at most."""
+
 _MESH_KINDS = {"dae", "glb", "obj", "off", "ply", "stl"}
 """Kinds of files that are a mesh of their own, not archives or lists of other files."""
 
@@ -37,12 +41,12 @@ _LARGEST_MESH = 256 * 2**20
 """Bytes of a file."""
 
 
-def cover_link(link: Link, cell: float, left: int = MOST_SPHERES) -> FloatArray:
+def cover_link(link: Link, overshoot: float, left: int = MOST_SPHERES) -> FloatArray:
     """Return spheres (S, 4) that cover the collision shapes of a link, in its frame.
 
     Args:
         link: of a URDF.
-        cell: m, size of the pieces that each get a sphere.
+        overshoot: m, largest distance of a point of a sphere from the shape that it covers.
         left: how many spheres there may be.
 
     Raises:
@@ -50,39 +54,50 @@ def cover_link(link: Link, cell: float, left: int = MOST_SPHERES) -> FloatArray:
     """
     covers = [np.empty((0, 4))]
     for shape in link.shapes:
-        if shape.kind == "mesh":
-            mesh = _mesh(shape, link.name)
-            extent, needed = mesh.extents, float(mesh.area) / cell**2
-            _refuse_beyond(left, link, shape, extent, cell, needed)
-            refuse_fine(mesh, cell, f"the mesh of link {link.name!r}", _MILLIMETRES)
-            spheres = cover_mesh(mesh, cell)
-        else:
-            half = REGISTRY[shape.kind].of_dimensions(shape.size.tolist())
-            extent, counts = 2.0 * half, np.ceil(2.0 * half / cell)
-            needed = float(2.0 * (counts * np.roll(counts, 1)).sum())
-            _refuse_beyond(left, link, shape, extent, cell, needed)
-            spheres = REGISTRY[shape.kind].cover(half, cell)
-        _refuse_beyond(left, link, shape, extent, cell, len(spheres))
+        spheres = _cover_shape(shape, link.name, overshoot)
+        if len(spheres) > left:
+            raise ValueError(
+                f"link {link.name!r} would need {len(spheres)} spheres for a {shape.kind} with "
+                f"overshoot={overshoot} m, beyond the {MOST_SPHERES} that a robot may have: choose "
+                f"a larger overshoot or, {_MILLIMETRES}"
+            )
         left -= len(spheres)
         centers = spheres[:, :3] @ shape.origin[:3, :3].T + shape.origin[:3, 3]
         covers.append(np.column_stack([centers, spheres[:, 3]]))
     return np.concatenate(covers)
 
 
+def _cover_shape(shape: Shape, link: str, overshoot: float) -> FloatArray:
+    """Return spheres (S, 4) that cover a shape, in its own frame."""
+    if shape.kind == "sphere":
+        return np.array([[0.0, 0.0, 0.0, float(shape.size[0])]])
+    if shape.kind == "mesh":
+        mesh = _mesh(shape, link)
+    elif shape.kind == "box":
+        mesh = trimesh.creation.box(shape.size)
+    else:
+        mesh, overshoot = _prism(*shape.size.tolist(), overshoot)
+    try:
+        return tight_cover(mesh, overshoot)
+    except TooLargeError as error:
+        raise ValueError(
+            f"the {shape.kind} of link {link!r}, {size_of(mesh.extents)}, is too large to be "
+            f"covered with overshoot={overshoot:.3g} m, {error}: choose a larger overshoot or, "
+            f"{_MILLIMETRES}"
+        ) from error
+
+
+def _prism(height: float, radius: float, overshoot: float) -> tuple[Any, float]:
+    """Return a prism around a cylinder, and what it leaves of the overshoot, m."""
+    slack = _OF_PRISM * overshoot
+    sides = max(math.ceil(math.pi / math.acos(radius / (radius + slack))), 8)
+    outer = radius / math.cos(math.pi / sides)
+    return trimesh.creation.cylinder(outer, height, sections=sides), overshoot - slack
+
+
 def size_of(extent: FloatArray) -> str:
     """Return the extents (3,) of a body, m, as text."""
     return " x ".join(f"{length:.3g}" for length in extent) + " m"
-
-
-def _refuse_beyond(
-    left: int, link: Link, shape: Shape, extent: FloatArray, cell: float, needed: float
-) -> None:
-    if needed > left:
-        raise ValueError(
-            f"the {shape.kind} of link {link.name!r}, {size_of(extent)}, would need about "
-            f"{needed:.0f} spheres of cell={cell} m, beyond the {MOST_SPHERES} that a robot may "
-            f"have: choose a larger cell or, {_MILLIMETRES}"
-        )
 
 
 def _mesh(shape: Shape, link: str) -> Any:

@@ -10,6 +10,7 @@ argument are shares of the demonstrations' extent, see `PriorSettings` and `Adap
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,6 +22,7 @@ import numpy as np
 
 from smp_gym.arrays import FloatArray, checked_count, checked_number, checked_seed, shown
 from smp_planner.adaptation import Adaptation, adaptation
+from smp_planner.collision.verification import minimum_duration
 from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, PATH_SMOOTH_STD, AdaptSettings
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
@@ -62,6 +64,12 @@ __all__ = [
     "ToolViaPoint",
     "ViaPoint",
 ]
+
+
+_LOGGER = logging.getLogger(__name__)
+
+_DURATION_SLACK = 2.0
+"""Shortest durations of the slowest demonstration within which its plans must be feasible."""
 
 
 class SMP:
@@ -251,7 +259,8 @@ class SMP:
                 conditions the primitive.
             per_component: whether each mode of the demonstrations is adapted on its own; if not,
                 one Gaussian stands for all of them, as the paper's baselines have it.
-            settings: map and costs.
+            settings: map and costs. For a robot, a `duration_limit` that is not given is twice the
+                shortest duration of the slowest demonstration, and 15 s at least.
             deadline: s from the call, until when to adapt; the plan then depends on the machine.
                 The map is made whole, so much it may be late; see
                 `smp_planner.planning.pipeline.plan_problems`. None by default.
@@ -273,7 +282,8 @@ class SMP:
         how = _adaptation(method)
         deadline, history = checked_deadline(deadline, how), checked_history(history, how)
         particles = checked_count("particles", particles, most=MOST_PARTICLES)
-        settings = settings.model_copy(update={"particles": particles})
+        update = {"particles": particles, "duration_limit": self._duration_limit(settings)}
+        settings = settings.model_copy(update=update)
         seed, radius = checked_seed(seed), checked_number("radius", radius, least=0.0)
         obstacles = several("obstacles", obstacles, get_args(PathObstacle))
         via_points = several("via_points", via_points, (ViaPoint, ToolViaPoint, AnyOf))
@@ -298,7 +308,19 @@ class SMP:
             # What is over already leaves the least time there is.
             deadline = max(deadline - (time.perf_counter() - begin), 1e-6)
         (plan,) = plan_problems([problem], prior, how, settings, deadline=deadline, history=history)
+        if self.robot is not None:
+            _warn_of_duration(plan, settings.duration_limit)
         return self._outwards(plan, obstacles, reading)
+
+    def _duration_limit(self, settings: PlanSettings) -> float:
+        """Return the limit of duration, s: as given, or no less than demonstrations allow."""
+        if self.robot is None or "duration_limit" in settings.model_fields_set:
+            return settings.duration_limit
+        velocity = self.robot.model.velocity
+        # A gap of NaN takes as long as its ends are apart.
+        finite = [d[np.isfinite(d).all(axis=1)] for d in self.demonstrations]
+        shortest = [float(minimum_duration(d[None], velocity)[0]) for d in finite if len(d) > 1]
+        return max(settings.duration_limit, _DURATION_SLACK * max(shortest, default=0.0))
 
     def _outwards(self, plan: Plan, obstacles: Sequence[PathObstacle], reading: float) -> Plan:
         """Return a plan in the unit of the demonstrations, with what is drawn beside it."""
@@ -326,6 +348,21 @@ class SMP:
             tool_paths=(
                 None if self.robot is None else self.robot.tool_positions(plan.trajectories)
             ),
+        )
+
+
+def _warn_of_duration(plan: Plan, limit: float) -> None:
+    """Log how many trajectories the limit of duration keeps from being executable."""
+    late = int((plan.duration > limit).sum())
+    if late:
+        _LOGGER.warning(
+            "%d of %d trajectories take longer than duration_limit=%g s within the limits of "
+            "velocity, up to %.3g s, and do not count as executable: "
+            "AdaptSettings(duration_limit=...) gives them more time",
+            late,
+            len(plan.duration),
+            limit,
+            float(plan.duration.max()),
         )
 
 

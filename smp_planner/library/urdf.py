@@ -77,7 +77,7 @@ class Robot:
         tip: str,
         *,
         held: Mapping[str, float] | None = None,
-        cell: float = 0.06,
+        overshoot: float = 0.02,
         limits: Mapping[str, tuple[float, float]] | None = None,
         velocities: Mapping[str, float] | None = None,
         bodiless: Iterable[str] = (),
@@ -95,7 +95,9 @@ class Robot:
             held: joints that stand still, and where (rad or m). Mimic joints follow what they
                 mimic. Joints beside the chain that are not named stand at 0, or at the limit that
                 is nearest to it.
-            cell: m, size of the pieces of a collision shape that each get a sphere.
+            overshoot: m, largest distance of a point of a sphere from the collision shape that it
+                covers. The smaller, the more spheres: half of it asks for about three times as
+                many.
             limits: (lower, upper), rad, by joint, in place of those of the file.
             velocities: limits of velocity, rad/s, by joint, likewise.
             bodiless: links that move and are known to have no body. Others that have a visual
@@ -109,7 +111,7 @@ class Robot:
                 link without body, or more than `covering.MOST_SPHERES` spheres; the message names
                 joint or link, and attribute.
         """
-        cell = checked_number("cell", cell, above=0.0)
+        overshoot = checked_number("overshoot", overshoot, above=0.0)
         description = read_description(path, packages)
         links = description.links
         if tip not in links:
@@ -119,7 +121,7 @@ class Robot:
         positions = _positions(joints, {joint.name for joint in chain}, _checked_held(held, joints))
         moving = [joint for joint in chain if positions[joint.name] is None]
         _check_moving(moving, tip)
-        return _assembled(description, joints, positions, moving, tip, cell, bodiless)
+        return _assembled(description, joints, positions, moving, tip, overshoot, bodiless)
 
     @property
     def dimension(self) -> int:
@@ -334,7 +336,7 @@ def _assembled(
     positions: Mapping[str, float | None],
     chain: Sequence[Joint],
     tip: str,
-    cell: float,
+    overshoot: float,
     bodiless: Any,
 ) -> Robot:
     links = description.links
@@ -365,7 +367,7 @@ def _assembled(
     link: list[int] = []
     spheres = [np.empty((0, 4))]
     for name, (index, pose) in placed.items():
-        cover = cover_link(links[name], cell, MOST_SPHERES - len(link))
+        cover = cover_link(links[name], overshoot, MOST_SPHERES - len(link))
         link += [index] * len(cover)
         centers = cover[:, :3] @ pose[:3, :3].T + pose[:3, 3]
         spheres.append(np.column_stack([centers, cover[:, 3]]))

@@ -50,12 +50,6 @@ class Capsule(Shape):
         lean, up = np.hypot(*rotation[:2, 2]), abs(rotation[2, 2])
         return float(lean * straight + size[0]), float(up * straight + size[0])
 
-    def cover(self, size, cell):
-        count = int(np.ceil(2.0 * size[2] / cell))
-        height = np.linspace(-1.0, 1.0, count + 1) * (size[2] - size[0])
-        radius = np.hypot(size[0], size[2] / count)
-        return np.column_stack([np.zeros((count + 1, 2)), height, np.full(count + 1, radius)])
-
     def faces(self, size):
         polar = np.linspace(-np.pi / 2, np.pi / 2, 21)
         height = size[0] * np.sin(polar) + np.sign(polar) * (size[2] - size[0])

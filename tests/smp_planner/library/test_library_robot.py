@@ -1,16 +1,17 @@
 """Robots from their URDF: the packaged arm against its own numbers, a chain written here."""
 
 import dataclasses
+import logging
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from smp_gym.assets import jaco_urdf
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_gym.geometry.registry import REGISTRY
 from smp_gym.robot import kinematics
 from smp_gym.scene import TABLE, Obstacle
 from smp_planner.adaptation import adaptation
@@ -124,20 +125,6 @@ def test_spheres_cover_the_collision_shapes(jaco, seven):
     assert (gap.min(axis=1) <= 0.2).all()
     assert ((gap - seven.model.radius[on_last]).min(axis=1) <= 1e-9).all()
     assert set(jaco.model.link) == set(range(7))
-
-
-@pytest.mark.parametrize("half", [(0.05, 0.05, 0.05), (0.2, 0.03, 0.1), (0.01, 0.3, 0.01)])
-def test_boxes_are_covered_and_not_by_much_more(half):
-    spheres = REGISTRY["box"].cover(np.array(half), 0.06)
-    _check_covers(spheres, trimesh.creation.box(2.0 * np.array(half)).sample(3000), 0.06)
-
-
-@pytest.mark.parametrize(("radius", "half"), [(0.04, 0.2), (0.1, 0.02), (0.03, 0.001)])
-def test_cylinders_are_covered(radius, half):
-    mesh = trimesh.creation.cylinder(radius, 2.0 * half)
-    _check_covers(
-        REGISTRY["cylinder"].cover(np.array([radius, radius, half]), 0.06), mesh.sample(3000), 0.06
-    )
 
 
 def test_meshes_are_covered(tmp_path):
@@ -347,3 +334,48 @@ def test_a_robot_is_saved_with_its_primitive(placing, tmp_path: Path):
     method = adaptation("smp", iterations=5)
     first, second = (p.adapt(particles=4, method=method) for p in (placing, again))
     np.testing.assert_array_equal(first.trajectories, second.trajectories)
+
+
+def test_a_robot_that_touches_itself_is_told_of(seven, caplog):
+    """Links 1 and 7 stand apart in most postures; one demonstration folds them onto each other."""
+    rng = np.random.default_rng(3)
+    postures = rng.uniform(seven.model.lower, seven.model.upper, (4000, 7))
+    centers = seven.model.sphere_centers(torch.from_numpy(postures)).numpy()
+    link, radius = seven.model.link, seven.model.radius
+    near, far = np.flatnonzero(link == 1), np.flatnonzero(link == 7)
+    between = np.linalg.norm(centers[:, near][:, :, None] - centers[:, far][:, None], axis=-1)
+    gap = (between - radius[near][:, None] - radius[far]).min(axis=(1, 2))
+    open_, folded = postures[gap.argmax()], postures[gap.argmin()]
+    assert gap.min() < -0.005 < 0.05 < gap.max()
+    assert (gap < 0.0).mean() < 0.5
+    clear = [open_ + s * np.linspace(0.0, 0.02, 60)[:, None] for s in (1.0, -1.0, 0.5)]
+    touching = np.linspace(folded, folded + 1e-5, 60)
+    with caplog.at_level(logging.WARNING):
+        kept = SMP.fit(clear, robot=seven).robot.model.collision_pairs
+    assert "links 1 and 7" not in caplog.text
+    assert {(1, 7)} <= {tuple(pair) for pair in link[kept]}
+    with caplog.at_level(logging.WARNING):
+        dropped = SMP.fit([*clear, touching], robot=seven).robot.model.collision_pairs
+    told = [r for r in caplog.messages if "links 1 and 7" in r]
+    assert len(told) == 1
+    assert f"overlap by {-1e3 * gap.min():.0f} mm in demonstration 3" in told[0]
+    of_both = [(link[pairs] == (1, 7)).all(axis=1).sum() for pairs in (kept, dropped)]
+    assert of_both[1] < of_both[0]
+
+
+def test_the_limit_of_duration_follows_demonstrations_and_is_told_of(seven, caplog):
+    slow = dataclasses.replace(seven.model, velocity=np.full(7, 0.02))
+    robot = dataclasses.replace(seven, model=slow)
+    ends = np.linspace(-0.3, 0.3, 80)[:, None] * np.ones(7)
+    primitive = SMP.fit([ends, ends + 0.02, ends - 0.02], robot=robot, smooth_std=0.005)
+    ask = {"start": ends[0], "goal": ends[-1], "particles": 4, "method": "promp"}
+    with caplog.at_level(logging.WARNING):
+        plan = primitive.adapt(**ask)
+    # 0.6 rad at 0.02 rad/s are 30 s; twice that is more than paths of the primitive take.
+    assert (plan.duration > 29.0).all()
+    assert plan.executable.all()
+    assert "duration_limit" not in caplog.text
+    with caplog.at_level(logging.WARNING):
+        hurried = primitive.adapt(**ask, settings=AdaptSettings(duration_limit=15.0))
+    assert not hurried.executable.any()
+    assert "4 of 4 trajectories take longer than duration_limit=15 s" in caplog.text

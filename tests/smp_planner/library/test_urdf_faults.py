@@ -65,7 +65,10 @@ def block():
         ('<mesh filename="http://a/block.stl"/>', "link 'arm', .* is no name of a file"),
         ("<mesh/>", "link 'arm', mesh, names the mesh '', which is no name"),
         ('<mesh filename="../out.stl"/>', "link 'arm', .* lies outside of the folders"),
-        ('<box size="90 90 90"/>', "box of link 'arm', 90 x 90 x 90 m, .* choose a larger cell"),
+        (
+            '<box size="90 90 90"/>',
+            "box of link 'arm', 90 x 90 x 90 m, .* choose a larger overshoot",
+        ),
         (
             '<mesh filename="block.stl" scale="1000 1000 1000"/>',
             "mesh of link 'arm', 100 x 100 x 100 m, .* millimetres",
@@ -83,11 +86,11 @@ def test_shapes_without_size_or_file_are_named(tmp_path, block, geometry, messag
         one(folder, geometry)
 
 
-@pytest.mark.parametrize("cell", [0.0, -1.0, float("nan"), "0.1", 1e-5])
-def test_the_size_of_pieces_is_checked(tmp_path, cell):
-    with pytest.raises(ValueError, match="cell"):
-        one(tmp_path, cell=cell)
-    assert MOST_SPHERES > len(one(tmp_path, cell=0.02).model.radius) > 8
+@pytest.mark.parametrize("overshoot", [0.0, -1.0, float("nan"), "0.1", 1e-5])
+def test_the_overshoot_is_checked(tmp_path, overshoot):
+    with pytest.raises(ValueError, match="overshoot"):
+        one(tmp_path, overshoot=overshoot)
+    assert MOST_SPHERES > len(one(tmp_path, overshoot=0.01).model.radius) > 8
 
 
 @pytest.mark.parametrize("name", ["block.stl", "with%20blank.stl", "with blank.stl"])
