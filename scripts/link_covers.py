@@ -9,8 +9,9 @@ require_for_script()
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
-from smp_planner.benchmark.options import chosen_names, run_command, tell
+from smp_planner.benchmark.options import chosen_names, run_command
 from smp_planner.experiments.link_covers import covers_table, link_covers
 from smp_planner.experiments.public_arms import PUBLIC_ARMS
 
@@ -32,7 +33,7 @@ def main(
     found = []
     for arm in chosen_names(arms, tuple(PUBLIC_ARMS), "--arms"):
         found += link_covers(arm, bound or [0.02], plan)
-    tell(covers_table(found))
+    Console(width=100).print(covers_table(found))
 
 
 if __name__ == "__main__":

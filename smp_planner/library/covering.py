@@ -76,7 +76,8 @@ def _cover_shape(shape: Shape, link: str, overshoot: float) -> FloatArray:
     elif shape.kind == "box":
         mesh = trimesh.creation.box(shape.size)
     else:
-        mesh, overshoot = _prism(*shape.size.tolist(), overshoot)
+        height, radius = shape.size.tolist()
+        mesh, overshoot = _prism(height, radius, overshoot)
     try:
         return tight_cover(mesh, overshoot)
     except TooLargeError as error:

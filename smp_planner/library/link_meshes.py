@@ -56,7 +56,7 @@ def jaco_meshes(pen: bool = False) -> Sequence[LinkMesh]:
     from smp_planner.library.urdf import Robot
 
     robot = Robot.from_urdf(
-        jaco_urdf(pen=pen), "j2s6s200_end_effector", held=_fingers(pen), cell=0.2
+        jaco_urdf(pen=pen), "j2s6s200_end_effector", held=_fingers(pen), overshoot=0.1
     )
     base, *moving = link_meshes(robot)
     # Link 0 of a robot from a URDF is the root; that of the arm's model is turned.

@@ -96,17 +96,19 @@ def read_primitive(
                     name: checked_number(f"standing[{name!r}]", position)
                     for name, position in _named(arrays, "standing").items()
                 },
-                *(
-                    {
-                        name: checked_array(f"{field}[{name!r}]", pose, (4, 4))
-                        for name, pose in _named(arrays, field).items()
-                    }
-                    for field in _LINKS
-                ),
+                base_links=_poses(arrays, "base_links"),
+                tip_links=_poses(arrays, "tip_links"),
             )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
     return demonstrations, settings, robot, recorded
+
+
+def _poses(arrays: Mapping[str, NDArray[Any]], field: str) -> dict[str, FloatArray]:
+    return {
+        name: checked_array(f"{field}[{name!r}]", pose, (4, 4))
+        for name, pose in _named(arrays, field).items()
+    }
 
 
 def _recorded(arrays: Mapping[str, NDArray[Any]], lengths: NDArray[Any]) -> Recorded:

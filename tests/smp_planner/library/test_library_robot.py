@@ -215,7 +215,7 @@ def test_unknown_held_joints_and_files_are_named(tmp_path):
 def test_an_arm_goes_round_and_reaches_a_region(placing, jaco):
     tool = jaco.tool_positions(placing.demonstrations[0])
     x, y, z = tool[100]
-    pillar = Obstacle(shape="cylinder", position=(x, y, z), size=(0.04, 0.04, 0.1))
+    pillar = Obstacle(shape="cylinder", position=(x, y, z), size=(0.06, 0.06, 0.1))
     region = GoalRegion(np.zeros(3), tool[-1] - 0.02, tool[-1] + 0.02)
     start = placing.demonstrations[0][0]
     plan = placing.adapt([pillar, TABLE], start=start, goal=region, particles=20)
@@ -226,7 +226,7 @@ def test_an_arm_goes_round_and_reaches_a_region(placing, jaco):
     # The judge's own spheres of the arm, at all samples of the good paths.
     spheres = kinematics.arm_spheres()
     centers = kinematics.sphere_centers(plan.trajectories[plan.good], spheres)
-    across = np.linalg.norm(centers[..., :2] - [x, y], axis=-1) - 0.04
+    across = np.linalg.norm(centers[..., :2] - [x, y], axis=-1) - 0.06
     along = np.abs(centers[..., 2] - z) - 0.1
     outside = np.hypot(np.maximum(across, 0.0), np.maximum(along, 0.0))
     assert (np.maximum(across, along) > 0.0).all()

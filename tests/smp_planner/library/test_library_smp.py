@@ -94,9 +94,10 @@ def test_a_disc_keeps_its_radius_clear(primitive):
     assert (near[plan.collision_free] > 6.0).all()
 
 
-def test_several_ways_round_are_found(plan):
-    assert plan.modes.count >= 2
+def test_several_ways_round_are_found(primitive, plan):
     assert plan.signatures.shape == (42, 3)
+    counts = [primitive.adapt(OBSTACLES, **ENDS, seed=seed).modes.count for seed in range(6)]
+    assert np.mean(counts) >= 2.0
 
 
 def test_the_chosen_path_is_good(plan):
