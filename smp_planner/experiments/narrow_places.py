@@ -237,7 +237,8 @@ def _solved(item: tuple[str, str, int]) -> dict[str, Any]:
     place = narrow_place(SMP.fit(still, robot=robot).robot or robot, ready, family, seed)
     if place is None:
         return {"posed": False}
-    demonstrations = swings(place.start, place.goal, np.random.default_rng(seed))
+    drawn = swings(place.start, place.goal, np.random.default_rng(seed))
+    demonstrations = np.clip(drawn, robot.model.lower, robot.model.upper)
     primitive = SMP.fit(demonstrations, robot=robot)
     assert primitive.robot is not None
     result: dict[str, Any] = {"posed": True}
