@@ -27,12 +27,13 @@ from smp_planner.collision.costs import (
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.assessment import make_plan
-from smp_planner.planning.constraints import Reaching, ToolPath
-from smp_planner.planning.pipeline import Stopwatch, conditioned_parts
+from smp_planner.planning.conditioning import conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.planning.tool_constraints import Reaching, ToolPath
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["AutogradPlanner", "AutogradTarget"]

@@ -26,7 +26,7 @@ from smp_planner.batch.planning import DevicePlanner, run_of
 from smp_planner.batch.problem_tables import Tables
 from smp_planner.planners.primitive_planner import PrimitivePlanner
 from smp_planner.planning.assessment import assess
-from smp_planner.planning.pipeline import conditioned_parts
+from smp_planner.planning.conditioning import conditioned_parts
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.torch_threads import one_thread

@@ -14,7 +14,7 @@ from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import Runs
 from smp_planner.inference.smc import SMCSettings, sample_posterior
 from smp_planner.planning.assessment import assess
-from smp_planner.planning.pipeline import Part, conditioned_parts
+from smp_planner.planning.conditioning import Part, conditioned_parts
 from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings

@@ -34,8 +34,8 @@ from smp_planner.experiments.set_measures import (
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.inference.smc import SMCSettings
 from smp_planner.planning.assessment import make_plan, signatures
+from smp_planner.planning.conditioning import conditioned_parts
 from smp_planner.planning.modes import group
-from smp_planner.planning.pipeline import conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.policy.planner_policy import PlannerPolicy

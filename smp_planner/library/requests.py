@@ -17,7 +17,8 @@ from smp_planner.library.frame import Frame
 from smp_planner.library.joint_angles import JointAngles
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.movement_primitives.box_prior import SmoothBox
-from smp_planner.planning.constraints import Constraint, Passing, Place, Reaching
+from smp_planner.planning.constraints import Constraint, Passing, Place
+from smp_planner.planning.tool_constraints import Reaching
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 from smp_planner.planning.tool_passing import ToolPassing
 

@@ -25,11 +25,11 @@ from smp_planner.planners.bump_policy import look, stacked
 from smp_planner.planners.card_file import shipped_agent
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.bumps import BumpedMean, bump_phases, bumped_mean
-from smp_planner.planning.pipeline import Stopwatch
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings, PriorSettings
+from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["LEARNED", "BumpPlanner", "ProposalSettings"]

@@ -15,13 +15,13 @@ from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
 from smp_planner.collision.moving import clearance_in_time
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE
-from smp_planner.planning.constraints import Reaching
 from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.modes import signatures_2d, signatures_3d
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.ranking import Merits, demanded_and_merit, rank
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_constraints import Reaching
 from smp_planner.planning.tool_passing import ToolPassing
 
 __all__ = [

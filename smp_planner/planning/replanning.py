@@ -20,21 +20,18 @@ from smp_planner.movement_primitives import ProMP
 from smp_planner.occupancy.point_cloud import CloudMap
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.clock import Clock
-from smp_planner.planning.constraints import (
-    Constraint,
-    Exactly,
-    Poses,
-    ToolPath,
-    at_phases,
-)
+from smp_planner.planning.conditioning import Part, condition
+from smp_planner.planning.constraints import Constraint, Exactly, at_phases
 from smp_planner.planning.maps import SceneMaps
-from smp_planner.planning.pipeline import Part, PlanState, Stopwatch, condition
+from smp_planner.planning.pipeline import PlanState
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.target import SceneTarget, TargetBatch
 from smp_planner.planning.threads import Threads, default_threads
+from smp_planner.planning.tool_constraints import Poses, ToolPath
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["ITERATIONS", "LEAST_RATE", "direction", "replan", "resumed"]

@@ -7,7 +7,7 @@ import numpy as np
 from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.agents.posed_scenes import overdraw_of, primitive_of
 from smp_planner.planning.assessment import make_plan
-from smp_planner.planning.pipeline import conditioned_parts
+from smp_planner.planning.conditioning import conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.torch_threads import one_thread

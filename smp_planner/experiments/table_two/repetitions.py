@@ -29,8 +29,8 @@ from smp_planner.experiments.table_two.scenes import load_scenes, prior_settings
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.assessment import free_waypoints
+from smp_planner.planning.conditioning import condition
 from smp_planner.planning.modes import group
-from smp_planner.planning.pipeline import condition
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings

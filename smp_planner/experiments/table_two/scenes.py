@@ -24,7 +24,7 @@ from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.results_folder import write_json
 from smp_planner.planners import task_settings
 from smp_planner.planning.assessment import free_waypoints
-from smp_planner.planning.pipeline import condition
+from smp_planner.planning.conditioning import condition
 from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.settings import PlanSettings, PriorSettings
 from smp_planner.policy.planner_policy import PlannerPolicy

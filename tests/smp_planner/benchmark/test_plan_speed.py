@@ -17,11 +17,11 @@ from smp_planner.benchmark.plan_speed import (
     replans,
     stages_table,
 )
-from smp_planner.planning.constraints import Reaching, ToolPath
 from smp_planner.planning.problem import Problem, Stage, arm_problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget
 from smp_planner.planning.threads import Threads
+from smp_planner.planning.tool_constraints import Reaching, ToolPath
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 
 START = np.array([0.0, 3.0, 1.5, 0.0, 2.5, 0.0])

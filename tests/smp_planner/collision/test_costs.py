@@ -13,8 +13,8 @@ from smp_planner.collision import autograd, costs
 from smp_planner.collision.autograd import by_autograd
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
-from smp_planner.planning.constraints import Reaching, ToolPath
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_constraints import Reaching, ToolPath
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 
 OBSTACLES = (

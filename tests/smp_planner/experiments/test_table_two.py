@@ -29,7 +29,7 @@ from smp_planner.experiments.table_two.repetitions import (
 )
 from smp_planner.experiments.table_two.report import paper_rows, summarise, write_report
 from smp_planner.experiments.table_two.scenes import load_scenes, shared_prior
-from smp_planner.planning.pipeline import condition
+from smp_planner.planning.conditioning import condition
 from smp_planner.planning.settings import PlanSettings
 
 

@@ -10,9 +10,9 @@ import torch
 from smp_gym.observation import decode
 from smp_gym.scene import Obstacle
 from smp_planner.planners import make_planner
-from smp_planner.planning.constraints import Reaching
-from smp_planner.planning.pipeline import condition
+from smp_planner.planning.conditioning import condition
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_constraints import Reaching
 from smp_planner.policy.observed_problem import problem_from
 
 BASELINES = ("cpromp", "prompt_o", "promp_diff")

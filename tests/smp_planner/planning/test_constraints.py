@@ -9,8 +9,9 @@ from smp_planner.collision.robot_model import jaco_model
 from smp_planner.library.frame import Frame
 from smp_planner.library.modulation import ViaPoint
 from smp_planner.library.requests import constraints_of
-from smp_planner.planning.constraints import Exactly, Reaching, ToolPath, at_phases, spread_to_steps
+from smp_planner.planning.constraints import Exactly, at_phases, spread_to_steps
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_constraints import Reaching, ToolPath
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 
 POINT = np.array([0.02, 0.01, -0.03])

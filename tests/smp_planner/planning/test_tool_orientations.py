@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.assets import jaco_urdf
 from smp_planner.library.smp import Cone, GoalRegion, Orientation, Robot, ToolViaPoint
-from smp_planner.planning.constraints import Reaching, ToolPath
+from smp_planner.planning.tool_constraints import Reaching, ToolPath
 
 RANDOM = Rotation.random(200, random_state=0)
 WANTED = Rotation.from_euler("xyz", (0.4, -1.1, 2.0))

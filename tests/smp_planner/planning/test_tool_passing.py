@@ -8,8 +8,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from smp_planner.collision.robot_model import jaco_model
-from smp_planner.planning.constraints import Reaching, at_phases
+from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_constraints import Reaching
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 from smp_planner.planning.tool_orientations import Cone, Orientation
 from smp_planner.planning.tool_passing import ToolPassing

@@ -16,7 +16,7 @@ from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import STROKE_POINTS, Obstacle
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners import make_planner, task_settings
-from smp_planner.planning.pipeline import condition, conditioned_parts
+from smp_planner.planning.conditioning import condition, conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_goals import ToolViaPoint
