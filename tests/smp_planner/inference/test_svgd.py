@@ -296,7 +296,14 @@ def test_the_named_settings_change_what_they_say():
         "no_annealing": {"annealing"},
         "cyclic": {"schedule"},
     }
-    without = {"no_choice": "overdraw", "no_resampling": "resampling", "no_moves": "moves"}
+    without = {
+        "no_choice": "overdraw",
+        "no_resampling": "resampling",
+        "no_moves": "moves",
+        "tempered_no_repulsion": "repulsion",
+        "tempered_no_annealing": "annealing",
+        "tempered_imq": "kernel",
+    }
     assert set(SETTINGS) == {"default", "paper", *changes, *without}
     for name, changed in changes.items():
         assert _changed(named_settings(name), default) == changed
