@@ -1,0 +1,280 @@
+"""The Gaussian nearest to the prior that keeps chance constraints. The baseline CProMPs of Frank.
+
+The method is that of Frank, Paraschos, van der Smagt & Cseke, Constrained Probabilistic Movement
+Primitives for Robot Trajectory Adaptation, IEEE T-RO 2022: the divergence from the primitive is
+minimised subject to bounds on the probability of what must not happen, by L-BFGS and multipliers
+that are updated by factors; moments of what is not linear in the weights are those of the unscented
+transform. Read from there are the objective, chance constraints, unscented transform and L-BFGS.
+The reading is ours where this says: each sphere at each step has a constraint of its own, with one
+risk for all; a clearance is taken to be normal, so that the constraint is mean - z std >= margin;
+the factors of the multipliers are those of the exponential method (`inference.multipliers`); and
+what is no constraint here (the robot's own links, velocities, goals and via-points beyond what was
+conditioned on, obstacles that move) keeps its cost, averaged over draws that stay the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.optimize import minimize
+from torch import Tensor
+
+from smp_gym.arrays import FloatArray
+from smp_planner.adaptation.gaussian import one_gaussian
+from smp_planner.adaptation.runs import SceneCosts, StepConstraint
+from smp_planner.collision.clearances import Clearances
+from smp_planner.inference.multipliers import penalty, updated_multipliers
+from smp_planner.inference.unscented import sigma_points, unscented_moments
+from smp_planner.movement_primitives import ProMP
+
+__all__ = [
+    "ChanceSettings",
+    "ConstrainedGaussian",
+    "Lagrangian",
+    "chance_constrained",
+    "constrained_gaussian",
+]
+
+_LEAST_STD = 1e-5
+"""Rad or extents, added to what joints deviate by: where a path is held, a covariance is zero."""
+
+_LEAST_CLEARANCE_STD = 1e-6
+"""M, rad or extents: the square root has no slope at zero."""
+
+_HELD = 1e-6
+"""Rad or extents: a step at which the prior deviates by no more is as it is."""
+
+
+class ChanceSettings(BaseModel):
+    """Settings of the constrained Gaussian.
+
+    Attributes:
+        risk: α, probability with which a sphere at a step may be nearer than the margin.
+        rounds: updates of the multipliers.
+        iterations: of L-BFGS in each round, at most.
+        draws: of each sign, over which the costs that are no constraints are averaged.
+        growth: of a multiplier at most, as a multiple of its first value: so far goes what a
+            constraint that cannot be kept asks for.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    risk: float = Field(default=0.05, gt=0.0, lt=0.5)
+    rounds: int = Field(default=10, ge=1)
+    iterations: int = Field(default=20, ge=1)
+    draws: int = Field(default=10, ge=1)
+    growth: float = Field(default=10.0, ge=1.0, allow_inf_nan=False)
+
+
+class ConstrainedGaussian(NamedTuple):
+    """A Gaussian with the multipliers of its constraints.
+
+    Attributes:
+        mean: (r,) in the prior's whitened coordinates.
+        factor: (r, r) lower triangular.
+        multipliers: of each constraint of the scene, (S, M), per m, rad or extent: steps, without
+            those at which the path is held, and clearances.
+    """
+
+    mean: Tensor
+    factor: Tensor
+    multipliers: tuple[Tensor, ...]
+
+
+class _Constraint(NamedTuple):
+    """A constraint of the scene with the steps at which it can be acted upon."""
+
+    of_scene: StepConstraint
+    steps: Tensor
+
+    def width(self, progress: float) -> float:
+        """Return the scale of the excess at a progress of 0 to 1."""
+        first, last = self.of_scene.widths
+        return float(first * (last / first) ** progress)
+
+
+class _Clear(torch.autograd.Function):
+    """Clearances (..., M) of configurations (..., D)."""
+
+    @staticmethod
+    def forward(ctx: Any, configurations: Tensor, clearances: Clearances) -> Tensor:
+        flat = np.ascontiguousarray(configurations.detach().flatten(0, -2).numpy())
+        ctx.flat, ctx.clearances, ctx.shape = flat, clearances, configurations.shape
+        return torch.from_numpy(clearances(flat)).unflatten(0, configurations.shape[:-1])
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
+        by_clearance = np.ascontiguousarray(slopes[0].flatten(0, -2).numpy())
+        gradient = ctx.clearances.pull_back(ctx.flat, by_clearance)
+        return torch.from_numpy(gradient).reshape(ctx.shape), None
+
+
+class _MeanCost(torch.autograd.Function):
+    """Mean cost of trajectories (P, T, D) by a function of them and its gradient."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        trajectories: Tensor,
+        cost: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    ) -> Tensor:
+        value, gradient = cost(np.ascontiguousarray(trajectories.detach().numpy()))
+        ctx.save_for_backward(torch.from_numpy(gradient / len(gradient)))
+        return trajectories.new_tensor(value.mean())
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
+        return slopes[0] * ctx.saved_tensors[0], None
+
+
+class Lagrangian:
+    """KL(q || p) with the penalties of constraints, and the mean of what costs besides.
+
+    A function of the parameters (r + r (r + 1) / 2,) of q: its mean, the logarithms of the diagonal
+    of its factor and the rest of that by rows, in the coordinates in which p is N(0, I).
+
+    Args:
+        primitive: p.
+        scene: gives constraints and costs.
+        noise: (P, r) standard normals at which the costs are taken.
+        risk: α.
+
+    Attributes:
+        constraints: of the scene, those that can be acted upon.
+        multipliers: ν of each, (S, M).
+        progress: 0 in the first round to 1 in the last.
+    """
+
+    def __init__(self, primitive: ProMP, scene: SceneCosts, noise: Tensor, risk: float) -> None:
+        self._rank, self._noise, self._scene = primitive.rank, noise, scene
+        self._quantile = NormalDist().inv_cdf(1.0 - risk)
+        self._mean = primitive.trajectory(primitive.mean, scene.steps)
+        columns = primitive.trajectory(primitive.factor.mT.contiguous(), scene.steps)
+        self._columns = columns.permute(1, 2, 0).contiguous()
+        self._below = torch.tril_indices(self._rank, self._rank, -1)
+        moves = self._columns.square().sum(-1).amax(-1).sqrt() > _HELD
+        steps = torch.arange(scene.steps)
+        self.constraints: list[_Constraint] = []
+        self.multipliers: list[Tensor] = []
+        self.progress = 0.0
+        for constraint in scene.step_constraints():
+            own = steps[constraint.steps]
+            own = own[moves[own]]
+            if len(own):
+                count = constraint.clearances(self._mean[own[:1]].numpy()).shape[1]
+                self.constraints.append(_Constraint(constraint, own))
+                self.multipliers.append(
+                    torch.full((len(own), count), constraint.weight, dtype=torch.float64)
+                )
+
+    def prior(self) -> FloatArray:
+        """Return the parameters of the prior."""
+        return np.zeros(2 * self._rank + self._below.shape[1])
+
+    def gaussian(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean (r,) and factor (r, r) of parameters."""
+        mean, logarithms, below = parameters.split([self._rank, self._rank, self._below.shape[1]])
+        factor = torch.diag(logarithms.exp()).index_put(tuple(self._below), below)
+        return mean, factor
+
+    def excesses(self, mean: Tensor, factor: Tensor) -> list[Tensor]:
+        """Return by how many widths the constraints are missed, (S, M) each."""
+        paths = self._mean + self._columns @ mean
+        roots = self._columns @ factor
+        least = _LEAST_STD**2 * torch.eye(paths.shape[-1], dtype=paths.dtype)
+        points = sigma_points(paths, roots @ roots.mT + least)
+        found = []
+        for constraint in self.constraints:
+            own: Tensor = _Clear.apply(  # type: ignore[no-untyped-call]
+                points[constraint.steps], constraint.of_scene.clearances
+            )
+            middle, variance = unscented_moments(own)
+            std = (variance + _LEAST_CLEARANCE_STD**2).sqrt()
+            missed = constraint.of_scene.margin + self._quantile * std - middle
+            found.append(missed / constraint.width(self.progress))
+        return found
+
+    def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
+        """Return the value and its gradient by the parameters."""
+        given = torch.from_numpy(parameters).clone().requires_grad_()
+        with torch.enable_grad():
+            mean, factor = self.gaussian(given)
+            value = 0.5 * (mean.square().sum() + factor.square().sum() - self._rank)
+            value = value - given[self._rank : 2 * self._rank].sum()
+            for multipliers, excess in zip(
+                self.multipliers, self.excesses(mean, factor), strict=True
+            ):
+                value = value + (multipliers * penalty(excess)).sum()
+            latent = mean + self._noise @ factor.mT
+            flat = self._columns.flatten(0, 1)
+            drawn = self._mean + (latent @ flat.mT).unflatten(-1, self._mean.shape)
+            value = value + _MeanCost.apply(drawn, self._other_costs)  # type: ignore[no-untyped-call]
+            (gradient,) = torch.autograd.grad(value, given)
+        return float(value), gradient.numpy()
+
+    def _other_costs(self, trajectories: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self._scene.evaluate_others(trajectories, self.progress)
+
+    def update(self, parameters: FloatArray, growth: float, progress: float) -> None:
+        """Update the multipliers where the Lagrangian was minimised, and go on to a progress.
+
+        Args:
+            parameters: that minimise it.
+            growth: largest multiple of the first value of a multiplier.
+            progress: of the next round; the Lagrange multipliers ν / width stay.
+        """
+        excesses = self.excesses(*self.gaussian(torch.from_numpy(parameters)))
+        for index, (constraint, excess) in enumerate(
+            zip(self.constraints, excesses, strict=True)
+        ):
+            largest = growth * constraint.of_scene.weight
+            found = updated_multipliers(self.multipliers[index], excess, largest)
+            narrower = constraint.width(progress) / constraint.width(self.progress)
+            self.multipliers[index] = narrower * found
+        self.progress = progress
+
+
+def constrained_gaussian(
+    primitive: ProMP, scene: SceneCosts, rng: np.random.Generator, settings: ChanceSettings
+) -> ConstrainedGaussian:
+    """Return the Gaussian that is nearest to the prior, KL(q || p), and keeps the constraints.
+
+    In each round L-BFGS goes on from the last one's mean and full lower triangular factor, in the
+    whitened coordinates of the prior; the widths of the penalties narrow as the edge of the map
+    does for the other methods.
+
+    Args:
+        primitive: the prior.
+        scene: gives the constraints, and costs for all else.
+        rng: draws the standard normals at which those are taken.
+        settings: risk, rounds and iterations.
+    """
+    half = torch.from_numpy(rng.standard_normal((settings.draws, primitive.rank)))
+    lagrangian = Lagrangian(primitive, scene, torch.cat([half, -half]), settings.risk)
+    parameters = lagrangian.prior()
+    for round_ in range(settings.rounds):
+        limits = {"maxiter": settings.iterations, "maxfun": 2 * settings.iterations}
+        found = minimize(lagrangian, parameters, jac=True, method="L-BFGS-B", options=limits)
+        parameters = found.x
+        progress = min((round_ + 1) / max(settings.rounds - 1, 1), 1.0)
+        lagrangian.update(parameters, settings.growth, progress)
+    mean, factor = lagrangian.gaussian(torch.from_numpy(parameters))
+    multipliers = [
+        nu / constraint.width(lagrangian.progress)
+        for nu, constraint in zip(lagrangian.multipliers, lagrangian.constraints, strict=True)
+    ]
+    return ConstrainedGaussian(mean, factor, tuple(multipliers))
+
+
+@one_gaussian
+def chance_constrained(
+    primitive: ProMP, scene: SceneCosts, rng: np.random.Generator, settings: ChanceSettings
+) -> tuple[Tensor, Tensor]:
+    """Return mean and factor of `constrained_gaussian`."""
+    found = constrained_gaussian(primitive, scene, rng, settings)
+    return found.mean, found.factor
