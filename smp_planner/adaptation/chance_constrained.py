@@ -7,7 +7,8 @@ that are updated by factors; moments of what is not linear in the weights are th
 transform. Read from there are the objective, chance constraints, unscented transform and L-BFGS.
 The reading is ours where this says: each sphere at each step has a constraint of its own, with one
 risk for all; a clearance is taken to be normal, so that the constraint is mean - z std >= margin;
-the factors of the multipliers are those of the exponential method (`inference.multipliers`); and
+the factors of the multipliers are those of the exponential method (`inference.multipliers`); the
+risk falls to its value round by round, so that the path is never far from what is allowed; and
 what is no constraint here (the robot's own links, velocities, goals and via-points beyond what was
 conditioned on, obstacles that move) keeps its cost, averaged over draws that stay the same.
 """
@@ -28,7 +29,7 @@ from smp_gym.arrays import FloatArray
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts, StepConstraint
 from smp_planner.collision.clearances import Clearances
-from smp_planner.inference.multipliers import penalty, updated_multipliers
+from smp_planner.inference.multipliers import penalty, penalty_slope, updated_multipliers
 from smp_planner.inference.unscented import sigma_points, unscented_moments
 from smp_planner.movement_primitives import ProMP
 
@@ -46,6 +47,9 @@ _LEAST_STD = 1e-5
 _LEAST_CLEARANCE_STD = 1e-6
 """M, rad or extents: the square root has no slope at zero."""
 
+_TIGHT = 2.0 / 3.0
+"""Share of the rounds after which the risk is that asked for."""
+
 _HELD = 1e-6
 """Rad or extents: a step at which the prior deviates by no more is as it is."""
 
@@ -54,21 +58,25 @@ class ChanceSettings(BaseModel):
     """Settings of the constrained Gaussian.
 
     Attributes:
-        risk: α, probability with which a sphere at a step may be nearer than the margin.
+        risk: α, probability with which a sphere at a step may be nearer than the margin. It falls
+            to that from 1 - α, its quantile evenly, and stays in the last third of the rounds.
         rounds: updates of the multipliers.
         iterations: of L-BFGS in each round, at most.
         draws: of each sign, over which the costs that are no constraints are averaged.
         growth: of a multiplier at most, as a multiple of its first value: so far goes what a
             constraint that cannot be kept asks for.
+        decay: of a multiplier at most, as a share of its first value: where the path is not, an
+            obstacle must not be forgotten.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     risk: float = Field(default=0.05, gt=0.0, lt=0.5)
-    rounds: int = Field(default=10, ge=1)
+    rounds: int = Field(default=20, ge=1)
     iterations: int = Field(default=20, ge=1)
     draws: int = Field(default=10, ge=1)
-    growth: float = Field(default=10.0, ge=1.0, allow_inf_nan=False)
+    growth: float = Field(default=30.0, ge=1.0, allow_inf_nan=False)
+    decay: float = Field(default=0.3, gt=0.0, le=1.0)
 
 
 class ConstrainedGaussian(NamedTuple):
@@ -77,8 +85,8 @@ class ConstrainedGaussian(NamedTuple):
     Attributes:
         mean: (r,) in the prior's whitened coordinates.
         factor: (r, r) lower triangular.
-        multipliers: of each constraint of the scene, (S, M), per m, rad or extent: steps, without
-            those at which the path is held, and clearances.
+        multipliers: Lagrange's of each constraint of the scene, (S, M), per m, rad or extent:
+            steps, without those at which the path is held, and clearances.
     """
 
     mean: Tensor
@@ -91,11 +99,6 @@ class _Constraint(NamedTuple):
 
     of_scene: StepConstraint
     steps: Tensor
-
-    def width(self, progress: float) -> float:
-        """Return the scale of the excess at a progress of 0 to 1."""
-        first, last = self.of_scene.widths
-        return float(first * (last / first) ** progress)
 
 
 class _Clear(torch.autograd.Function):
@@ -142,17 +145,19 @@ class Lagrangian:
         primitive: p.
         scene: gives constraints and costs.
         noise: (P, r) standard normals at which the costs are taken.
-        risk: α.
+        quantile: of the first round.
 
     Attributes:
         constraints: of the scene, those that can be acted upon.
         multipliers: ν of each, (S, M).
         progress: 0 in the first round to 1 in the last.
+        quantile: standard deviations that a mean clearance must exceed its margin by.
     """
 
-    def __init__(self, primitive: ProMP, scene: SceneCosts, noise: Tensor, risk: float) -> None:
+    def __init__(
+        self, primitive: ProMP, scene: SceneCosts, noise: Tensor, quantile: float
+    ) -> None:
         self._rank, self._noise, self._scene = primitive.rank, noise, scene
-        self._quantile = NormalDist().inv_cdf(1.0 - risk)
         self._mean = primitive.trajectory(primitive.mean, scene.steps)
         columns = primitive.trajectory(primitive.factor.mT.contiguous(), scene.steps)
         self._columns = columns.permute(1, 2, 0).contiguous()
@@ -161,7 +166,7 @@ class Lagrangian:
         steps = torch.arange(scene.steps)
         self.constraints: list[_Constraint] = []
         self.multipliers: list[Tensor] = []
-        self.progress = 0.0
+        self.progress, self.quantile = 0.0, quantile
         for constraint in scene.step_constraints():
             own = steps[constraint.steps]
             own = own[moves[own]]
@@ -195,8 +200,8 @@ class Lagrangian:
             )
             middle, variance = unscented_moments(own)
             std = (variance + _LEAST_CLEARANCE_STD**2).sqrt()
-            missed = constraint.of_scene.margin + self._quantile * std - middle
-            found.append(missed / constraint.width(self.progress))
+            missed = constraint.of_scene.margin + self.quantile * std - middle
+            found.append(missed / constraint.of_scene.width)
         return found
 
     def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
@@ -215,28 +220,36 @@ class Lagrangian:
             drawn = self._mean + (latent @ flat.mT).unflatten(-1, self._mean.shape)
             value = value + _MeanCost.apply(drawn, self._other_costs)  # type: ignore[no-untyped-call]
             (gradient,) = torch.autograd.grad(value, given)
-        return float(value), gradient.numpy()
+        return float(value.detach()), gradient.numpy()
 
     def _other_costs(self, trajectories: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self._scene.evaluate_others(trajectories, self.progress)
 
-    def update(self, parameters: FloatArray, growth: float, progress: float) -> None:
-        """Update the multipliers where the Lagrangian was minimised, and go on to a progress.
+    def lagrange_multipliers(self, parameters: FloatArray) -> tuple[Tensor, ...]:
+        """Return Lagrange's multipliers, (S, M) each, where the parameters are a minimum."""
+        excesses = self.excesses(*self.gaussian(torch.from_numpy(parameters)))
+        return tuple(
+            nu * penalty_slope(excess) / constraint.of_scene.width
+            for nu, excess, constraint in zip(
+                self.multipliers, excesses, self.constraints, strict=True
+            )
+        )
+
+    def update(self, parameters: FloatArray, settings: ChanceSettings) -> None:
+        """Update the multipliers ν where the Lagrangian was minimised.
 
         Args:
             parameters: that minimise it.
-            growth: largest multiple of the first value of a multiplier.
-            progress: of the next round; the Lagrange multipliers ν / width stay.
+            settings: bounds of the multipliers.
         """
         excesses = self.excesses(*self.gaussian(torch.from_numpy(parameters)))
         for index, (constraint, excess) in enumerate(
             zip(self.constraints, excesses, strict=True)
         ):
-            largest = growth * constraint.of_scene.weight
-            found = updated_multipliers(self.multipliers[index], excess, largest)
-            narrower = constraint.width(progress) / constraint.width(self.progress)
-            self.multipliers[index] = narrower * found
-        self.progress = progress
+            first = constraint.of_scene.weight
+            self.multipliers[index] = updated_multipliers(
+                self.multipliers[index], excess, settings.decay * first, settings.growth * first
+            )
 
 
 def constrained_gaussian(
@@ -245,8 +258,7 @@ def constrained_gaussian(
     """Return the Gaussian that is nearest to the prior, KL(q || p), and keeps the constraints.
 
     In each round L-BFGS goes on from the last one's mean and full lower triangular factor, in the
-    whitened coordinates of the prior; the widths of the penalties narrow as the edge of the map
-    does for the other methods.
+    whitened coordinates of the prior, with multipliers and the risk brought up to date.
 
     Args:
         primitive: the prior.
@@ -255,20 +267,21 @@ def constrained_gaussian(
         settings: risk, rounds and iterations.
     """
     half = torch.from_numpy(rng.standard_normal((settings.draws, primitive.rank)))
-    lagrangian = Lagrangian(primitive, scene, torch.cat([half, -half]), settings.risk)
+    quantile = NormalDist().inv_cdf(1.0 - settings.risk)
+    lagrangian = Lagrangian(primitive, scene, torch.cat([half, -half]), -quantile)
     parameters = lagrangian.prior()
     for round_ in range(settings.rounds):
+        last = settings.rounds - 1
+        lagrangian.progress = round_ / last if last else 1.0
+        tightened = min(lagrangian.progress / _TIGHT, 1.0)
+        lagrangian.quantile = (2.0 * tightened - 1.0) * quantile
         limits = {"maxiter": settings.iterations, "maxfun": 2 * settings.iterations}
         found = minimize(lagrangian, parameters, jac=True, method="L-BFGS-B", options=limits)
         parameters = found.x
-        progress = min((round_ + 1) / max(settings.rounds - 1, 1), 1.0)
-        lagrangian.update(parameters, settings.growth, progress)
+        if round_ < settings.rounds - 1:
+            lagrangian.update(parameters, settings)
     mean, factor = lagrangian.gaussian(torch.from_numpy(parameters))
-    multipliers = [
-        nu / constraint.width(lagrangian.progress)
-        for nu, constraint in zip(lagrangian.multipliers, lagrangian.constraints, strict=True)
-    ]
-    return ConstrainedGaussian(mean, factor, tuple(multipliers))
+    return ConstrainedGaussian(mean, factor, lagrangian.lagrange_multipliers(parameters))
 
 
 @one_gaussian

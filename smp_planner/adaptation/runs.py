@@ -40,15 +40,14 @@ class StepConstraint:
         steps: at which.
         clearances: M of a configuration.
         margin: least that they should be.
-        widths: scale of what is missing, in the first and the last iteration.
-        weight: first multiplier of each clearance at each step: what it costs to miss the margin by
-            one scale, roughly.
+        width: scale of what is missing.
+        weight: first multiplier of each clearance at each step.
     """
 
     steps: slice
     clearances: Clearances
     margin: float
-    widths: tuple[float, float]
+    width: float
     weight: float
 
 

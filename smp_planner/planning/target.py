@@ -30,6 +30,9 @@ from smp_planner.planning.threads import MOST_THREADS, Threads
 
 __all__ = ["SceneTarget", "TargetBatch"]
 
+_FIRST_MULTIPLIER = 0.1
+"""Share of an obstacle's weight: unlike an occupancy, what is missing grows with the depth."""
+
 _LIMIT_WIDTH = 0.02
 """Rad, scale of what is missing to joint limits."""
 
@@ -111,21 +114,19 @@ class SceneTarget:
     def step_constraints(self) -> list[StepConstraint]:
         """Return clearances to standing obstacles, and the joints' to their limits, by step.
 
-        Far from an obstacle the cost of Eq. (12) falls by e in half an edge width; the first
-        penalties of constraints do so, too, with the weight of that cost. Those of joints come to
-        the cost of limits at `_LIMIT_WIDTH` beyond them.
+        Obstacles begin with `_FIRST_MULTIPLIER` of the weight of their cost, on the scale of the
+        last width of the map's edge; joints with the cost of limits `_LIMIT_WIDTH` beyond them.
         """
         settings, count = self.settings, self.steps
         found = []
-        first, last = settings.edge_width
-        share = settings.obstacle_weight * (REFERENCE_STEPS - 1) / (count - 1)
+        share = _FIRST_MULTIPLIER * settings.obstacle_weight * (REFERENCE_STEPS - 1) / (count - 1)
         for stage, cost in self._stages:
             found.append(
                 StepConstraint(
                     self.problem.ahead(stage, count),
                     cost.clearances,
                     settings.margin,
-                    (first / 2.0, last / 2.0),
+                    settings.edge_width[1],
                     share * cost.scale,
                 )
             )
@@ -137,7 +138,7 @@ class SceneTarget:
                     self._rest(name, count),
                     JointLimitClearances(limits.lower, limits.upper),
                     limits.margin,
-                    (_LIMIT_WIDTH, _LIMIT_WIDTH),
+                    _LIMIT_WIDTH,
                     weight * _LIMIT_WIDTH**2 * steps_scale(count),
                 )
             )
