@@ -71,7 +71,7 @@ class ChanceSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    risk: float = Field(default=0.05, gt=0.0, lt=0.5)
+    risk: float = Field(default=0.01, gt=0.0, lt=0.5)
     rounds: int = Field(default=20, ge=1)
     iterations: int = Field(default=20, ge=1)
     draws: int = Field(default=10, ge=1)
@@ -154,9 +154,7 @@ class Lagrangian:
         quantile: standard deviations that a mean clearance must exceed its margin by.
     """
 
-    def __init__(
-        self, primitive: ProMP, scene: SceneCosts, noise: Tensor, quantile: float
-    ) -> None:
+    def __init__(self, primitive: ProMP, scene: SceneCosts, noise: Tensor, quantile: float) -> None:
         self._rank, self._noise, self._scene = primitive.rank, noise, scene
         self._mean = primitive.trajectory(primitive.mean, scene.steps)
         columns = primitive.trajectory(primitive.factor.mT.contiguous(), scene.steps)
@@ -243,9 +241,7 @@ class Lagrangian:
             settings: bounds of the multipliers.
         """
         excesses = self.excesses(*self.gaussian(torch.from_numpy(parameters)))
-        for index, (constraint, excess) in enumerate(
-            zip(self.constraints, excesses, strict=True)
-        ):
+        for index, (constraint, excess) in enumerate(zip(self.constraints, excesses, strict=True)):
             first = constraint.of_scene.weight
             self.multipliers[index] = updated_multipliers(
                 self.multipliers[index], excess, settings.decay * first, settings.growth * first

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+import torch
 from torch import Tensor
 
 __all__ = ["penalty", "penalty_slope", "updated_multipliers"]
@@ -27,7 +28,8 @@ def penalty(excess: Tensor) -> Tensor:
     Args:
         excess: u, by how many scales a constraint is missed; negative where it is kept.
     """
-    low = excess.clamp(max=_BEND).exp()
+    # Two clamps would both pass a gradient at the bend.
+    low = torch.where(excess < _BEND, excess, _BEND).exp()
     over = (excess - _BEND).clamp(min=0.0)
     return low - 1.0 + math.exp(_BEND) * (over + 0.5 * over.square())
 
