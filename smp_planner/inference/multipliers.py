@@ -2,8 +2,9 @@
 
 To the objective is added, for each constraint, nu phi(h / s) with a multiplier nu and a scale s; x
 minimises the sum, nu is multiplied by phi'(h / s), and so on. Where x minimises, nu phi'(h / s) / s
-is the Lagrange multiplier: nearly zero where a constraint is kept with room, whatever nu is (Kort & Bertsekas 1972; Bertsekas 1982, Ch. 5, where phi is e^u - 1). As
-in Ben-Tal & Zibulevsky 1997, phi goes on as a quadratic where the exponential grows too fast.
+is the Lagrange multiplier: nearly zero where a constraint is kept with room, whatever nu is (Kort &
+Bertsekas 1972; Bertsekas 1982, Ch. 5, where phi is e^u - 1). As in Ben-Tal & Zibulevsky 1997, phi
+goes on as a quadratic where the exponential grows too fast.
 """
 
 from __future__ import annotations

@@ -366,7 +366,6 @@ class Ball:
 
     def cost_on(self, distance: DistanceMap) -> ObstacleCost:
         """Return the squared occupancy of the ball on a map, summed along the path."""
-
         return _BallCost(BallClearances(self.radius, distance))
 
     def limit_costs(self, settings: PlanSettings) -> dict[str, tuple[float, Cost]]:

@@ -43,7 +43,8 @@ def test_clearances_are_distances_at_the_plain_chain_s_spheres_less_radii(sphere
     expected = spheres.grid.query(centers) - robot.radius[moves]
     np.testing.assert_allclose(spheres(q), expected, atol=1e-9)
     assert expected.shape[1] == CollisionCost(robot, spheres.grid).summed_spheres < len(robot.link)
-    assert (expected < 0.0).any() and (expected > 0.05).any()
+    assert (expected < 0.0).any()
+    assert (expected > 0.05).any()
 
 
 def test_gradients_of_spheres_are_those_of_autograd_through_the_plain_chain(spheres):

@@ -97,7 +97,7 @@ def test_the_covariance_stays_and_the_mean_moves(name, plans):
         assert np.abs(shift).max() > 0.02
 
 
-@pytest.mark.parametrize("name", (*BASELINES, "cpromp_chance"))
+@pytest.mark.parametrize("name", [*BASELINES, "cpromp_chance"])
 def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, region):
     """No obstacle within reach, a wide goal, no other cost: the control's draws come out again."""
     problem = problems[0]
