@@ -66,7 +66,7 @@ class ChanceSettings(BaseModel):
         growth: of a multiplier at most, as a multiple of its first value: so far goes what a
             constraint that cannot be kept asks for.
         decay: of a multiplier at most, as a share of its first value: where the path is not, an
-            obstacle must not be forgotten.
+            obstacle must not be forgotten. What needs a smaller one is kept with some room.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
