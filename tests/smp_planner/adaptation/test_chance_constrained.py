@@ -11,7 +11,7 @@ from smp_planner.adaptation import ChanceSettings, Runs, StepConstraint, adaptat
 from smp_planner.adaptation.chance_constrained import Lagrangian, constrained_gaussian
 
 STEPS = 30
-FINE = ChanceSettings(rounds=40, iterations=100, growth=1e4, decay=1e-4)
+FINE = ChanceSettings(rounds=120, iterations=100, growth=1e4, decay=1e-4)
 
 
 class HalfPlane:
