@@ -15,9 +15,10 @@ from pydantic import BaseModel
 from torch import Tensor
 
 from smp_gym.arrays import shown
+from smp_planner.adaptation.chance_constrained import ChanceSettings, chance_constrained
 from smp_planner.adaptation.flow import FlowSettings, flow
 from smp_planner.adaptation.optimised_mean import OptimisedMeanSettings, optimised_mean
-from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, Target
+from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, StepConstraint, Target
 from smp_planner.adaptation.stein import SteinSettings, stein
 from smp_planner.adaptation.tempered import tempered_stein
 from smp_planner.adaptation.variational import VariationalSettings, gaussian_vi
@@ -26,12 +27,14 @@ __all__ = [
     "ADAPTATIONS",
     "Adapt",
     "Adaptation",
+    "ChanceSettings",
     "FlowSettings",
     "Good",
     "OptimisedMeanSettings",
     "Runs",
     "SceneCosts",
     "SteinSettings",
+    "StepConstraint",
     "Target",
     "Unadapted",
     "VariationalSettings",
@@ -73,12 +76,14 @@ ADAPTATIONS: Mapping[str, Adaptation] = MappingProxyType(
         ),
         "promp": Adaptation(Unadapted(), None),
         "cpromp": Adaptation(VariationalSettings(), gaussian_vi),
+        "cpromp_chance": Adaptation(ChanceSettings(), chance_constrained),
         "prompt_o": Adaptation(OptimisedMeanSettings(), optimised_mean),
         "promp_diff": Adaptation(FlowSettings(), flow),
     }
 )
 """Adaptations by name, with default settings: Stein Movement Primitives, conditioning alone
-(Sec. III-A), and the paper's baselines CProMPs, ProMPT-O and ProMPs-Diff."""
+(Sec. III-A), and the paper's baselines CProMPs (as Gaussian variational inference, and
+with chance constraints), ProMPT-O and ProMPs-Diff."""
 
 
 def adaptation(name: str, **settings: Any) -> Adaptation:

@@ -13,12 +13,42 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
+from smp_planner.collision.clearances import Clearances
 from smp_planner.movement_primitives import ProMP, phases
 
-__all__ = ["Adapt", "Good", "Runs", "SceneCosts", "Target", "latent_gradient"]
+__all__ = [
+    "Adapt",
+    "Good",
+    "Runs",
+    "SceneCosts",
+    "StepConstraint",
+    "Target",
+    "latent_gradient",
+]
 
 Good = Callable[[Tensor], NDArray[np.bool_]]
 """Map from particles (B, P, r) in whitened coordinates to the mask (B, P) of those good already."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepConstraint:
+    """Clearances that must be kept at steps of a trajectory.
+
+    Lengths are m or rad for a robot, and extents for paths in the plane or in space.
+
+    Attributes:
+        steps: at which.
+        clearances: M of a configuration.
+        margin: least that they should be.
+        width: scale of what is missing.
+        weight: first multiplier of each clearance at each step.
+    """
+
+    steps: slice
+    clearances: Clearances
+    margin: float
+    width: float
+    weight: float
 
 
 class SceneCosts(Protocol):
@@ -53,6 +83,16 @@ class SceneCosts(Protocol):
 
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted."""
+        ...
+
+    def step_constraints(self) -> Sequence[StepConstraint]:
+        """Return what must hold at single steps; none if nothing does."""
+        ...
+
+    def evaluate_others(
+        self, trajectories: FloatArray, progress: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return `evaluate` of the costs of which `step_constraints` has nothing."""
         ...
 
 

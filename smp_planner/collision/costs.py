@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from smp_gym.arrays import FloatArray
 from smp_planner.collision import kernels as compiled
+from smp_planner.collision.clearances import SphereClearances
 from smp_planner.collision.robot_model import RobotModel, SingleArrays
 from smp_planner.occupancy.grid import DistanceGrid
 
@@ -143,6 +144,11 @@ class CollisionCost:
     @cached_property
     def _robot(self) -> SingleArrays:
         return self.robot.single()
+
+    @property
+    def clearances(self) -> SphereClearances:
+        """Clearances of the spheres in the sum on the same map, one by one."""
+        return SphereClearances(self.robot, self.grid)
 
     @property
     def summed_spheres(self) -> int:

@@ -61,6 +61,7 @@ _METHOD_TITLES = {
     "smp": "SMP",
     "promp_diff": "ProMPs-Diff",
     "cpromp": "CProMPs",
+    "cpromp_chance": "CProMPs, chance constraints",
     "prompt_o": "ProMPT-O",
 }
 

@@ -41,6 +41,9 @@ _COSTS: dict[str, tuple[Any, ...]] = {
 SPACES: dict[str, dict[str, tuple[Any, ...]]] = {
     "smp": _COSTS | {"iterations": (30, 50, 80), "step_size": (0.1, 0.2, 0.4)},
     "cpromp": _COSTS | {"iterations": (100, 200, 400), "step_size": (0.05, 0.1, 0.2)},
+    # It asks for clearances, of which no edge is wide.
+    "cpromp_chance": {name: values for name, values in _COSTS.items() if name != "edge_width"}
+    | {"risk": (0.001, 0.01, 0.05), "rounds": (10, 20, 40), "iterations": (10, 20, 40)},
     "prompt_o": _COSTS | {"rounds": (4, 8, 16), "iterations": (10, 20), "step_size": (0.1, 0.2)},
     "promp_diff": _COSTS
     | {"iterations": (50, 100, 200), "flow_time": (0.05, 0.1, 0.2), "fit_std": (0.05, 0.1, 0.2)},

@@ -74,6 +74,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "SVGD": ("smp", {"inference": "default", "iterations": 100, "widths": (1.0,)}),
     "paper": ("smp", {"inference": "paper", "iterations": 400, "widths": (1.0,)}),
     "cpromp": ("cpromp", {}),
+    "cpromp_chance": ("cpromp_chance", {}),
     "prompt_o": ("prompt_o", {}),
     "promp_diff": ("promp_diff", {}),
     "rrt_connect": ("rrt_connect", {}),

@@ -17,6 +17,7 @@ from scipy.special import expit
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.geometry.distance import PackedObstacles, signed_distance, signed_distance_and_gradient
 from smp_gym.scene import Obstacle
+from smp_planner.collision.clearances import Clearances
 from smp_planner.collision.costs import (
     CollisionCost,
     Cost,
@@ -42,6 +43,7 @@ from smp_planner.planning.settings import PlanSettings
 __all__ = [
     "PATH_TOLERANCE",
     "Ball",
+    "BallClearances",
     "Body",
     "DistanceMap",
     "ObstacleCost",
@@ -62,6 +64,16 @@ _MOST_HALVINGS = 40
 
 class ObstacleCost(Protocol):
     """The collision cost of Eq. (12) on a map."""
+
+    @property
+    def scale(self) -> float:
+        """Factor of the sum."""
+        ...
+
+    @property
+    def clearances(self) -> Clearances:
+        """The clearances whose occupancies are summed, one by one."""
+        ...
 
     def __call__(
         self, trajectories: FloatArray, edge_width: float, margin: float
@@ -279,6 +291,48 @@ def _nearest_of(first: DistanceMap, second: DistanceMap) -> DistanceMap:
 
 
 @dataclass(frozen=True)
+class BallClearances:
+    """Clearance of a ball from what is on a map, extents: M = 1.
+
+    Attributes:
+        radius: of the ball.
+        distance: the map.
+    """
+
+    radius: float
+    distance: DistanceMap
+
+    def __call__(self, configurations: FloatArray) -> FloatArray:
+        """Return clearances (N, 1) of centres (N, 2 or 3), negative in collision."""
+        return self.distance(in_space(configurations[None])[0])[0][:, None] - self.radius
+
+    def pull_back(self, configurations: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return the gradient (N, 2 or 3) of what has the derivatives (N, 1)."""
+        away = self.distance(in_space(configurations[None])[0])[1]
+        return np.asarray(slopes * away[:, : configurations.shape[1]])
+
+
+@dataclass(frozen=True)
+class _BallCost:
+    """The squared occupancy of a ball, summed along the path."""
+
+    clearances: BallClearances
+    scale: float = 1.0
+
+    def __call__(
+        self, trajectories: FloatArray, edge_width: float, margin: float
+    ) -> ValueAndGradient:
+        """Return value (P,) and gradient (P, T, D) at trajectories (P, T, D)."""
+        found, away = self.clearances.distance(in_space(trajectories).reshape(-1, 3))
+        occupancy = expit((self.clearances.radius + margin - found) / edge_width)
+        occupancy = occupancy.reshape(trajectories.shape[:2])
+        away = away.reshape(*trajectories.shape[:2], 3)[..., : trajectories.shape[2]]
+        scale = self.scale * steps_scale(trajectories.shape[1])
+        slope = -2.0 * scale / edge_width * np.square(occupancy) * (1.0 - occupancy)
+        return scale * np.square(occupancy).sum(axis=1), slope[..., None] * away
+
+
+@dataclass(frozen=True)
 class Ball:
     """A ball whose centre follows a path in the plane or in space; with radius 0, a point.
 
@@ -312,17 +366,7 @@ class Ball:
 
     def cost_on(self, distance: DistanceMap) -> ObstacleCost:
         """Return the squared occupancy of the ball on a map, summed along the path."""
-
-        def cost(trajectories: FloatArray, edge_width: float, margin: float) -> ValueAndGradient:
-            found, away = distance(in_space(trajectories).reshape(-1, 3))
-            occupancy = expit((self.radius + margin - found) / edge_width)
-            occupancy = occupancy.reshape(trajectories.shape[:2])
-            away = away.reshape(*trajectories.shape[:2], 3)[..., : trajectories.shape[2]]
-            scale = steps_scale(trajectories.shape[1])
-            slope = -2.0 * scale / edge_width * np.square(occupancy) * (1.0 - occupancy)
-            return scale * np.square(occupancy).sum(axis=1), slope[..., None] * away
-
-        return cost
+        return _BallCost(BallClearances(self.radius, distance))
 
     def limit_costs(self, settings: PlanSettings) -> dict[str, tuple[float, Cost]]:
         """Return nothing: a ball may go anywhere."""

@@ -9,11 +9,14 @@ import torch
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
+from smp_planner.adaptation import StepConstraint
+from smp_planner.collision.clearances import JointLimitClearances
 from smp_planner.collision.costs import (
     REFERENCE_STEPS,
     CollisionCost,
     CompiledCost,
     Cost,
+    JointLimitCost,
     ValueAndGradient,
     steps_scale,
 )
@@ -26,6 +29,12 @@ from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.threads import MOST_THREADS, Threads
 
 __all__ = ["SceneTarget", "TargetBatch"]
+
+_FIRST_MULTIPLIER = 0.1
+"""Share of an obstacle's weight: unlike an occupancy, what is missing grows with the depth."""
+
+_LIMIT_WIDTH = 0.02
+"""Rad, scale of what is missing to joint limits."""
 
 
 class SceneTarget:
@@ -62,6 +71,11 @@ class SceneTarget:
                 self._moving.append((stage, MovingCollisionCost(robot_of(stage), forecast)))
         limits = problem.body.limit_costs(settings)
         self._limits = tuple(limits)
+        self._constrained = frozenset(
+            name
+            for name, (weight, cost) in limits.items()
+            if isinstance(cost, JointLimitCost) and weight > 0.0
+        )
         terms = dict(limits)
         for constraint in problem.constraints:
             pull = constraint.cost(settings)
@@ -97,6 +111,43 @@ class SceneTarget:
         """Return the weighted sum (P,) of costs and its gradient (P, T, D), as `gradient`."""
         return self._weighted(trajectories, self._width(progress))
 
+    def step_constraints(self) -> list[StepConstraint]:
+        """Return clearances to standing obstacles, and the joints' to their limits, by step.
+
+        Obstacles begin with `_FIRST_MULTIPLIER` of the weight of their cost, on the scale of the
+        last width of the map's edge; joints with the cost of limits `_LIMIT_WIDTH` beyond them.
+        """
+        settings, count = self.settings, self.steps
+        found = []
+        share = _FIRST_MULTIPLIER * settings.obstacle_weight * (REFERENCE_STEPS - 1) / (count - 1)
+        for stage, cost in self._stages:
+            found.append(
+                StepConstraint(
+                    self.problem.ahead(stage, count),
+                    cost.clearances,
+                    settings.margin,
+                    settings.edge_width[1],
+                    share * cost.scale,
+                )
+            )
+        for name in self._constrained:
+            weight, limits = self._terms[name]
+            assert isinstance(limits, JointLimitCost)
+            found.append(
+                StepConstraint(
+                    self._rest(name, count),
+                    JointLimitClearances(limits.lower, limits.upper),
+                    limits.margin,
+                    _LIMIT_WIDTH,
+                    weight * _LIMIT_WIDTH**2 * steps_scale(count),
+                )
+            )
+        return found
+
+    def evaluate_others(self, trajectories: FloatArray, progress: float) -> ValueAndGradient:
+        """Return `evaluate` of the costs of which `step_constraints` has nothing."""
+        return self._weighted(trajectories, self._width(progress), others=True)
+
     def _rest(self, name: str, count: int) -> slice:
         """Return the steps that a cost sees: limits are kept by what is not done."""
         return self.problem.rest(count) if name in self._limits else slice(0, None)
@@ -118,18 +169,27 @@ class SceneTarget:
         first, last = self.settings.edge_width
         return float(first * (last / first) ** progress)
 
-    def _weighted(self, trajectories: FloatArray, width: float) -> ValueAndGradient:
-        """Return the weighted sum (P,) of costs and its gradient (P, T, D)."""
+    def _weighted(
+        self, trajectories: FloatArray, width: float, others: bool = False
+    ) -> ValueAndGradient:
+        """Return the weighted sum (P,) of costs and its gradient (P, T, D).
+
+        Args:
+            trajectories: (P, T, D).
+            width: of the map's edge.
+            others: leave out what is among `step_constraints`.
+        """
+        left_out = self._constrained if others else frozenset()
         value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
         settings = self.settings
 
         def add(rows: slice) -> None:
             part, total, slope = trajectories[rows], value[rows], gradient[rows]
             self._add_collision(
-                part, width, settings.margin, settings.obstacle_weight, total, slope
+                part, width, settings.margin, settings.obstacle_weight, total, slope, others
             )
             for name, cost in self._compiled.items():
-                if self._rest(name, count).start == 0:
+                if self._rest(name, count).start == 0 and name not in left_out:
                     cost.add(part, self._terms[name][0], total, slope)
 
         count = trajectories.shape[1]
@@ -145,6 +205,8 @@ class SceneTarget:
         self._threads.over(len(parts), add_all)
         for name, (weight, cost) in self._terms.items():
             rest = self._rest(name, count)
+            if name in left_out:
+                continue
             if name not in self._compiled or rest.start > 0:
                 found, slope = cost(np.ascontiguousarray(trajectories[:, rest]))
                 scale = weight * slope.shape[1] / count
@@ -166,13 +228,14 @@ class SceneTarget:
         weight: float,
         value: FloatArray,
         gradient: FloatArray,
+        moving_only: bool = False,
     ) -> None:
         """Add the weighted collision cost of all stages to value (P,) and gradient (P, T, D)."""
         count = trajectories.shape[1]
         # What lies between steps counts, not the steps: so a trajectory whose ends are clear
         # costs the same however finely it is sampled.
         share = weight * (REFERENCE_STEPS - 1) / (count - 1)
-        for stage, cost in self._stages:
+        for stage, cost in () if moving_only else self._stages:
             steps = self.problem.ahead(stage, count)
             if steps.start == steps.stop:
                 continue

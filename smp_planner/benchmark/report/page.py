@@ -38,6 +38,8 @@ _METHODS = {
     "look at the obstacles.",
     "cpromp": "A Gaussian over the primitive’s weights, fitted to the scene by variational "
     "inference.",
+    "cpromp_chance": "The Gaussian over the primitive’s weights that is nearest to it and collides "
+    "with a bounded probability.",
     "prompt_o": "Draws of the primitive, each optimised; their mean is that of the new Gaussian.",
     "promp_diff": "The primitive’s mean path carried past the obstacles by a smooth flow.",
     "rrt_connect": "Rapidly exploring random trees from start and goal, their path shortened and "

@@ -100,7 +100,7 @@ def test_the_covariance_stays_and_the_mean_moves(name, plans):
         assert np.abs(shift).max() > 0.02
 
 
-@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("name", [*BASELINES, "cpromp_chance"])
 def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, region):
     """No obstacle within reach, a wide goal, no other cost: the control's draws come out again."""
     problem = problems[0]
@@ -133,6 +133,17 @@ def test_the_same_problem_gives_the_same_plan_whatever_came_before(name, problem
     assert again.chosen == plan.chosen
     (different,) = planner.plan([replace(problems[1], seed=77)])
     assert not np.array_equal(different.trajectories, plan.trajectories)
+
+
+@pytest.mark.parametrize("seed", [60000, 60001, 60002])
+def test_chance_constraints_find_good_particles_in_easy_scenes(seed):
+    env = gymnasium.make("smp_gym/Placement-v0", difficulty="easy")
+    observation, _ = env.reset(seed=seed)
+    env.close()
+    problem = problem_from(decode(observation, "Placement"), seed=seed)
+    (plan,) = make_planner("cpromp_chance", "Placement").plan([problem])
+    assert plan.good.any()
+    assert plan.good[plan.chosen]
 
 
 @pytest.fixture(scope="module")
@@ -174,6 +185,12 @@ def test_components_are_adapted_on_their_own_or_merged(name, two_sided):
         ("cpromp", {"step_size": 0.0}),
         ("cpromp", {"draws": 0}),
         ("cpromp", {"per_component": "both"}),
+        ("cpromp_chance", {"risk": 0.0}),
+        ("cpromp_chance", {"risk": 0.5}),
+        ("cpromp_chance", {"rounds": 0}),
+        ("cpromp_chance", {"draws": 0}),
+        ("cpromp_chance", {"growth": 0.9}),
+        ("cpromp_chance", {"decay": 0.0}),
         ("prompt_o", {"rounds": 0}),
         ("prompt_o", {"iterations": 0}),
         ("prompt_o", {"step_size": -1.0}),
