@@ -11,6 +11,7 @@ import torch
 
 from smp_gym.arrays import FloatArray
 from smp_planner.collision.robot_model import RobotModel
+from smp_planner.library.urdf import Robot
 
 __all__ = ["PAIR_GAP", "with_collision_pairs"]
 
@@ -29,18 +30,19 @@ _CONFIGURATIONS = 50
 """Configurations of each demonstration in which gaps are measured."""
 
 
-def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]) -> RobotModel:
-    """Return a robot with the pairs of its spheres that must stay clear of each other.
+def with_collision_pairs(robot: Robot, demonstrations: Sequence[FloatArray]) -> RobotModel:
+    """Return the model of a robot with the pairs of its spheres that must stay clear of each other.
 
-    Those of links that are not neighbours, unless they come nearer than `PAIR_GAP` in a
-    demonstration: spheres reach beyond what they cover, and demonstrations are free. Links of which
-    spheres overlap in a demonstration but not in most postures are logged as a warning: there the
-    robot may have touched itself.
+    Those of links that are not neighbours and may not touch, unless they come nearer than
+    `PAIR_GAP` in a demonstration: spheres reach beyond what they cover, and demonstrations are
+    free. Links of which spheres overlap in a demonstration but not in most postures are logged as a
+    warning: there the robot may have touched itself.
 
     Args:
-        model: whose `collision_pairs` are replaced.
+        robot: whose model's `collision_pairs` are replaced.
         demonstrations: (T_j, n) rad; configurations with NaN are passed over.
     """
+    model, allowed = robot.model, robot.may_touch()
     shown = [d[np.linspace(0, len(d) - 1, _CONFIGURATIONS).astype(int)] for d in demonstrations]
     number = np.repeat(np.arange(len(shown)), _CONFIGURATIONS)
     configurations = np.concatenate(shown)
@@ -50,7 +52,8 @@ def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]
     link, radius = model.link, model.radius
     pairs, overlapping = [], []
     for first in range(len(link)):
-        others = np.flatnonzero(link > link[first] + 1)
+        apart = link > link[first] + 1
+        others = np.flatnonzero(apart & ~allowed[first])
         distance = np.linalg.norm(centers[:, others] - centers[:, first : first + 1], axis=-1)
         gap = distance - radius[others] - radius[first]
         least = gap.min(axis=0)
@@ -60,35 +63,37 @@ def with_collision_pairs(model: RobotModel, demonstrations: Sequence[FloatArray]
         overlapping.append(
             np.column_stack([np.full(len(deep), first), deep, when, -1e3 * least[least < 0.0]])
         )
-    _warn_of_contacts(model, np.concatenate(overlapping or [np.empty((0, 4))]))
+    _warn_of_contacts(robot, np.concatenate(overlapping or [np.empty((0, 4))]))
     empty = np.empty((0, 2), np.int64)
     return replace(model, collision_pairs=np.concatenate([empty, *pairs]))
 
 
-def _warn_of_contacts(model: RobotModel, overlapping: FloatArray) -> None:
+def _warn_of_contacts(robot: Robot, overlapping: FloatArray) -> None:
     """Log links of which spheres overlap in a demonstration, unless they do in most postures.
 
     Args:
-        model: the robot.
+        robot: that they are of.
         overlapping: (K, 4) two spheres, the number of the demonstration, and how deep, mm.
     """
     if not len(overlapping):
         return
-    rng = np.random.default_rng(0)
+    model, rng = robot.model, np.random.default_rng(0)
     postures = rng.uniform(model.lower, model.upper, (_POSTURES, model.joints))
     centers = model.sphere_centers(torch.from_numpy(postures)).numpy()
     first, second = overlapping[:, :2].astype(int).T
     gap = np.linalg.norm(centers[:, first] - centers[:, second], axis=-1)
     gap -= model.radius[first] + model.radius[second]
     rare = (gap < 0.0).mean(axis=0) < _MOSTLY
-    links = np.column_stack([model.link[first], model.link[second]])
+    names = np.array(robot.bodies or [f"number {index}" for index in model.link])
+    links = np.column_stack([names[first], names[second]])
     for pair in np.unique(links[rare], axis=0):
         found = overlapping[rare & (links == pair).all(axis=1)]
         deepest = found[found[:, 3].argmax()]
         _LOGGER.warning(
-            "spheres of links %d and %d overlap by %.0f mm in demonstration %d, and are not kept "
+            "spheres of links %s and %s overlap by %.0f mm in demonstration %d, and are not kept "
             "apart in %d pairs: make the robot with a smaller overshoot, or leave out "
-            "demonstrations in which it touches itself",
+            "demonstrations in which it touches itself; if they may touch, say so by touching= or "
+            "srdf=",
             *pair,
             deepest[3],
             int(deepest[2]),

@@ -118,7 +118,7 @@ class SMP:
                 )
             JointAngles(robot, demonstrations).check_demonstrations(continuous=False)
             demonstrations = unwrapped(demonstrations, robot)
-            robot = replace(robot, model=with_collision_pairs(robot.model, demonstrations))
+            robot = replace(robot, model=with_collision_pairs(robot, demonstrations))
             self._angles = JointAngles(robot, demonstrations)
             self._angles.check_demonstrations()
         self.demonstrations = demonstrations

@@ -55,6 +55,9 @@ def write_primitive(
         arrays["joints"] = np.array(json.dumps(robot.joints))
         arrays["continuous"] = np.array(robot.continuous)
         arrays["standing"] = np.array(json.dumps(dict(robot.standing)))
+        arrays["bodies"] = np.array(json.dumps(robot.bodies))
+        pairs = sorted([min(pair), max(pair)] for pair in robot.touching)
+        arrays["touching"] = np.array(json.dumps(pairs))
         for field in _LINKS:
             links = {name: pose.tolist() for name, pose in getattr(robot, field).items()}
             arrays[field] = np.array(json.dumps(links))
@@ -98,10 +101,24 @@ def read_primitive(
                 },
                 base_links=_poses(arrays, "base_links"),
                 tip_links=_poses(arrays, "tip_links"),
+                bodies=tuple(str(name) for name in _listed(arrays, "bodies")),
+                touching=frozenset(
+                    frozenset(map(str, pair)) for pair in _listed(arrays, "touching")
+                ),
             )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
     return demonstrations, settings, robot, recorded
+
+
+def _listed(arrays: Mapping[str, NDArray[Any]], field: str) -> list[Any]:
+    """Return what a field lists; files of before do not have it."""
+    if field not in arrays:
+        return []
+    given = parse_json(str(arrays[field]), field)
+    if not isinstance(given, list):
+        raise ValueError(f"{field} must be a list, got {shown(given)}")
+    return given
 
 
 def _poses(arrays: Mapping[str, NDArray[Any]], field: str) -> dict[str, FloatArray]:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smp_gym.arrays import FloatArray, checked_array, checked_number, shown
+from smp_gym.arrays import BoolArray, FloatArray, checked_array, checked_number, shown
 from smp_gym.robot.kinematics import SphereSet
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import LIMIT_TOLERANCE
 from smp_planner.library.covering import MOST_SPHERES, cover_link
+from smp_planner.library.semantic_description import LinkPair, checked_pairs, read_touching
 from smp_planner.library.timed_trajectory import TimedTrajectory, timed
 from smp_planner.library.timing_settings import TimingSettings
 from smp_planner.library.urdf_reading import Description, Joint, Link, Shape, read_description
@@ -48,6 +49,8 @@ class Robot:
             collision shapes. Files of `SMP.save` do not hold them.
         tip_links: (4, 4) poses in the tip's frame of all links that move as the tip does, it among
             them, by name.
+        bodies: (S) names of the links that its spheres cover; none where that is not known.
+        touching: pairs of names of links that may touch.
     """
 
     model: RobotModel
@@ -57,6 +60,8 @@ class Robot:
     base_links: Mapping[str, FloatArray] = field(default_factory=dict)
     visuals: tuple[tuple[int, Shape], ...] = ()
     tip_links: Mapping[str, FloatArray] = field(default_factory=dict)
+    bodies: tuple[str, ...] = ()
+    touching: frozenset[LinkPair] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
@@ -65,6 +70,11 @@ class Robot:
                 raise ValueError(
                     f"Robot.{name} must have {self.model.joints} entries, got {getattr(self, name)}"
                 )
+        if self.bodies and len(self.bodies) != len(self.model.link):
+            raise ValueError(
+                f"Robot.bodies must name the links of {len(self.model.link)} spheres, got "
+                f"{len(self.bodies)} names"
+            )
 
     def __repr__(self) -> str:
         """Return a short description, without the arrays."""
@@ -82,6 +92,8 @@ class Robot:
         velocities: Mapping[str, float] | None = None,
         bodiless: Iterable[str] = (),
         packages: Mapping[str, str | Path] | None = None,
+        srdf: str | Path | None = None,
+        touching: Iterable[tuple[str, str]] = (),
     ) -> Robot:
         """Read the chain from the root link to a tip.
 
@@ -103,6 +115,8 @@ class Robot:
             bodiless: links that move and are known to have no body. Others that have a visual
                 shape must have a collision shape, and each joint must move at least one.
             packages: folders by the name of the package, in which meshes may lie, too.
+            srdf: semantic description, whose disabled collisions are pairs of links that may touch.
+            touching: more such pairs, by their names.
 
         Raises:
             FileNotFoundError: no such file, or a mesh is missing.
@@ -121,12 +135,26 @@ class Robot:
         positions = _positions(joints, {joint.name for joint in chain}, _checked_held(held, joints))
         moving = [joint for joint in chain if positions[joint.name] is None]
         _check_moving(moving, tip)
-        return _assembled(description, joints, positions, moving, tip, overshoot, bodiless)
+        allowed = checked_pairs(touching, links.keys())
+        if srdf is not None:
+            allowed |= read_touching(srdf, links.keys())
+        robot = _assembled(description, joints, positions, moving, tip, overshoot, bodiless)
+        return replace(robot, touching=allowed)
 
     @property
     def dimension(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    def may_touch(self) -> BoolArray:
+        """Return a mask (S, S) of pairs of spheres whose links are `touching`."""
+        count = len(self.model.link)
+        mask = np.zeros((count, count), np.bool_)
+        bodies = np.array(self.bodies)
+        for pair in self.touching if self.bodies else ():
+            first, last = (bodies == name for name in (min(pair), max(pair)))
+            mask |= first[:, None] & last | last[:, None] & first
+        return mask
 
     def tool_positions(self, configurations: FloatArray) -> FloatArray:
         """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
@@ -365,10 +393,12 @@ def _assembled(
             waiting.append(joint.child)
     _check_bodies(links, {name: index for name, (index, _) in placed.items()}, len(chain), bodiless)
     link: list[int] = []
+    bodies: list[str] = []
     spheres = [np.empty((0, 4))]
     for name, (index, pose) in placed.items():
         cover = cover_link(links[name], overshoot, MOST_SPHERES - len(link))
         link += [index] * len(cover)
+        bodies += [name] * len(cover)
         centers = cover[:, :3] @ pose[:3, :3].T + pose[:3, 3]
         spheres.append(np.column_stack([centers, cover[:, 3]]))
     data = np.concatenate(spheres)
@@ -399,7 +429,7 @@ def _assembled(
     tip_links = {
         name: np.linalg.inv(tool) @ pose for name, (index, pose) in placed.items() if index == last
     }
-    return Robot(model, names, continuous, standing, base_links, visuals, tip_links)
+    return Robot(model, names, continuous, standing, base_links, visuals, tip_links, tuple(bodies))
 
 
 def _turning_z_to(axis: FloatArray) -> FloatArray:

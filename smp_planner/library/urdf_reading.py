@@ -143,7 +143,7 @@ def read_description(path: str | Path, packages: Mapping[str, str | Path] | None
         ValueError: not a URDF, or an element of it is wrong.
     """
     file = Path(path)
-    root = _root(file)
+    root = robot_element(file)
     elements, named = root.findall("link"), root.findall("joint")
     for tag, found in (("link", elements), ("joint", named)):
         names = Counter(element.get("name", "") for element in found)
@@ -158,16 +158,26 @@ def read_description(path: str | Path, packages: Mapping[str, str | Path] | None
     return Description(file, {link.name: link for link in links}, joints)
 
 
-def _root(file: Path) -> ET.Element:
+def robot_element(file: Path, kind: str = "a URDF") -> ET.Element:
+    """Return the element ``robot`` that a file holds.
+
+    Args:
+        file: to be read.
+        kind: of the file, "a URDF" or "an SRDF".
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: not of this kind, or one that xacro has not expanded.
+    """
     content = read_file(file, _LARGEST_FILE)
     if b"<!ENTITY" in content:
-        raise ValueError(f"{file} is not a URDF that can be read: it declares entities")
+        raise ValueError(f"{file} is not {kind} that can be read: it declares entities")
     try:
         root = ET.fromstring(content)
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise ValueError(f"{file} is not a URDF: {error}") from error
+        raise ValueError(f"{file} is not {kind}: {error}") from error
     if root.tag != "robot":
-        raise ValueError(f"{file} is not a URDF: its root is <{root.tag}>, not <robot>")
+        raise ValueError(f"{file} is not {kind}: its root is <{root.tag}>, not <robot>")
     left = next((e.tag for e in root.iter() if "xacro" in str(e.tag).rpartition("}")[0]), None)
     if left is not None:
         name = left.rpartition("}")[2]
