@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray
+from smp_gym.scene import Obstacle
 from smp_planner.library.tight_cover import TooLargeError, tight_cover
 from smp_planner.library.urdf_reading import Link, Shape
 
@@ -18,6 +20,7 @@ __all__ = [
     "check_mesh",
     "cover_link",
     "cover_mesh",
+    "cover_obstacle",
     "read_mesh",
     "refuse_fine",
     "size_of",
@@ -67,6 +70,30 @@ def cover_link(link: Link, overshoot: float, left: int = MOST_SPHERES) -> FloatA
     return np.concatenate(covers)
 
 
+def cover_obstacle(obstacle: Obstacle, overshoot: float, where: str) -> FloatArray:
+    """Return spheres (S, 4) that cover a body, in the frame in which it is placed.
+
+    Args:
+        obstacle: the body.
+        overshoot: m, see `cover_link`.
+        where: what it is, for errors.
+
+    Raises:
+        ValueError: it is of another shape, or too large for the overshoot.
+    """
+    half = np.array(obstacle.size)
+    if obstacle.shape not in ("box", "cylinder", "sphere"):
+        raise ValueError(f"{where} must be a box, a cylinder or a sphere, got {obstacle.shape}")
+    if obstacle.shape == "sphere":
+        spheres = np.array([[0.0, 0.0, 0.0, float(half[0])]])
+    elif obstacle.shape == "box":
+        spheres = _cover(trimesh.creation.box(2.0 * half), overshoot, where)
+    else:
+        spheres = _cover(*_prism(2.0 * float(half[2]), float(half[0]), overshoot), where)
+    turn = Rotation.from_quat(obstacle.quaternion).as_matrix()
+    return np.column_stack([spheres[:, :3] @ turn.T + obstacle.position, spheres[:, 3]])
+
+
 def _cover_shape(shape: Shape, link: str, overshoot: float) -> FloatArray:
     """Return spheres (S, 4) that cover a shape, in its own frame."""
     if shape.kind == "sphere":
@@ -78,13 +105,16 @@ def _cover_shape(shape: Shape, link: str, overshoot: float) -> FloatArray:
     else:
         height, radius = shape.size.tolist()
         mesh, overshoot = _prism(height, radius, overshoot)
+    return _cover(mesh, overshoot, f"the {shape.kind} of link {link!r}", f" or, {_MILLIMETRES}")
+
+
+def _cover(mesh: Any, overshoot: float, where: str, advice: str = "") -> FloatArray:
     try:
         return tight_cover(mesh, overshoot)
     except TooLargeError as error:
         raise ValueError(
-            f"the {shape.kind} of link {link!r}, {size_of(mesh.extents)}, is too large to be "
-            f"covered with overshoot={overshoot:.3g} m, {error}: choose a larger overshoot or, "
-            f"{_MILLIMETRES}"
+            f"{where}, {size_of(mesh.extents)}, is too large to be covered with "
+            f"overshoot={overshoot:.3g} m, {error}: choose a larger overshoot{advice}"
         ) from error
 
 

@@ -19,8 +19,16 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from smp_gym.arrays import FloatArray, checked_count, checked_number, checked_seed, shown
+from smp_gym.arrays import (
+    FloatArray,
+    checked_array,
+    checked_count,
+    checked_number,
+    checked_seed,
+    shown,
+)
 from smp_planner.adaptation import Adaptation, adaptation
 from smp_planner.collision.verification import minimum_duration
 from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, PATH_SMOOTH_STD, AdaptSettings
@@ -39,6 +47,7 @@ from smp_planner.library.signals import Recorded
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot
 from smp_planner.movement_primitives import ProMP, ProMPMixture
+from smp_planner.planning.constraints import Exactly
 from smp_planner.planning.pipeline import checked_deadline, checked_history, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
@@ -224,6 +233,7 @@ class SMP:
         *,
         start: Request | None = None,
         goal: Request | None = None,
+        start_velocity: ArrayLike | None = None,
         via_points: Sequence[ViaPoint | ToolViaPoint | AnyOf]
         | ViaPoint
         | ToolViaPoint
@@ -250,6 +260,10 @@ class SMP:
                 Angles of continuous joints are turned to the branch nearest to demonstrations.
             goal: likewise, where to end; for a robot also a `GoalRegion` of its tool, with any
                 orientation or a `Cone` or `Orientation`.
+            start_velocity: (D,) in the unit of the demonstrations a second, with which to begin, if
+                the motion takes as long as the demonstrations' mean; None leaves it as
+                demonstrated. It needs demonstrations with `durations`; `Robot.timed` with the
+                same `start_velocity`, and that duration as its `pace`, goes on from there.
             via_points: what to pass in between, of a robot also `ToolViaPoint`s; `AnyOf` several
                 of one phase for a choice.
             radius: of the ball that moves; 0 is a point. A robot has none.
@@ -290,6 +304,9 @@ class SMP:
         constraints = constraints_of(
             self.frame, start, via_points, goal, settings.sigma, self._angles
         )
+        if start_velocity is not None:
+            moving = self._moving_at_the_start(start_velocity, settings)
+            constraints = tuple(sorted((*constraints, moving), key=lambda c: c.phases[0]))
         with one_thread():
             refuse_overdetermined(
                 self.prior.single, constraints, [self.frame.inwards(d) for d in self.demonstrations]
@@ -311,6 +328,21 @@ class SMP:
         if self.robot is not None:
             _warn_of_duration(plan, settings.duration_limit)
         return self._outwards(plan, obstacles, reading)
+
+    def _moving_at_the_start(self, velocity: ArrayLike, settings: PlanSettings) -> Exactly:
+        """Return the constraint that a path begins with a velocity."""
+        given = checked_array("start_velocity", velocity, (self.dimension,))
+        if self.durations is None:
+            raise ValueError(
+                "start_velocity needs the demonstrations' durations, by which phase runs in time: "
+                "give durations= to SMP.fit, or recordings with times"
+            )
+        if settings.modulation != "exact":
+            raise ValueError(
+                f"start_velocity needs the modulation 'exact', got {settings.modulation!r}"
+            )
+        slope = self.frame.lengths_inwards(given) * float(np.mean(self.durations))
+        return Exactly("start_velocity", 0.0, slope, derivative=True)
 
     def _duration_limit(self, settings: PlanSettings) -> float:
         """Return the limit of duration, s: as given, or no less than demonstrations allow."""

@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import BoolArray, FloatArray, checked_array, checked_number, shown
 from smp_gym.robot.kinematics import SphereSet
+from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import LIMIT_TOLERANCE
-from smp_planner.library.covering import MOST_SPHERES, cover_link
+from smp_planner.library.covering import MOST_SPHERES, cover_link, cover_obstacle
 from smp_planner.library.semantic_description import LinkPair, checked_pairs, read_touching
 from smp_planner.library.timed_trajectory import TimedTrajectory, timed
 from smp_planner.library.timing_settings import TimingSettings
@@ -145,6 +146,49 @@ class Robot:
     def dimension(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    def holding(self, bodies: Iterable[Obstacle] | Obstacle, *, overshoot: float = 0.01) -> Robot:
+        """Return the robot with bodies in its tool, which collide as its links do.
+
+        They stay clear of obstacles, and of all links but that of the tool and the one before it.
+        Primitives of the robot are learned anew, from the same demonstrations.
+
+        Args:
+            bodies: at least one, standing still; their positions and quaternions are in the tip's
+                frame.
+            overshoot: m, by which spheres stand out of a body at most.
+
+        Raises:
+            ValueError: not such bodies, one too large for the overshoot, or more than
+                `covering.MOST_SPHERES` spheres.
+        """
+        overshoot = checked_number("overshoot", overshoot, above=0.0)
+        given = (bodies,) if isinstance(bodies, Obstacle) else tuple(bodies)
+        for index, body in enumerate(given):
+            if not isinstance(body, Obstacle) or any(body.velocity):
+                raise ValueError(
+                    f"bodies[{index}] must be an Obstacle that stands still, got {shown(body)}"
+                )
+        if not given:
+            raise ValueError("bodies must hold at least one Obstacle, got none")
+        covers = [
+            cover_obstacle(body, overshoot, f"bodies[{index}]") for index, body in enumerate(given)
+        ]
+        balls, tool, own = np.concatenate(covers), self.model.end_effector, self.model.spheres
+        if len(balls) + len(own) > MOST_SPHERES:
+            raise ValueError(
+                f"bodies would need {len(balls)} spheres beside {len(own)}, beyond the "
+                f"{MOST_SPHERES} that a robot may have: choose a larger overshoot"
+            )
+        spheres = SphereSet(
+            np.append(own.link, np.full(len(balls), self.dimension)),
+            np.concatenate([own.center, balls[:, :3] @ tool[:3, :3].T + tool[:3, 3]]),
+            np.append(own.radius, balls[:, 3]),
+        )
+        none = np.empty((0, 2), np.int64)
+        model = replace(self.model, spheres=spheres, collision_pairs=none)
+        names = self.bodies and (*self.bodies, *(["what it holds"] * len(balls)))
+        return replace(self, model=model, bodies=names)
 
     def may_touch(self) -> BoolArray:
         """Return a mask (S, S) of pairs of spheres whose links are `touching`."""
