@@ -20,7 +20,14 @@ from smp_gym.assets import asset_path
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.training import Training
-from smp_planner.benchmark.options import Interrupted, one_of, progress_bar, run_command, tell
+from smp_planner.benchmark.options import (
+    AgentFolder,
+    Interrupted,
+    one_of,
+    progress_bar,
+    run_command,
+    tell,
+)
 
 
 def main(
@@ -29,10 +36,7 @@ def main(
     dense: Annotated[bool, typer.Option(help="Train on the dense reward.")] = False,
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 300_000,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, exploration, episodes.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
-    ] = None,
+    out: AgentFolder = None,
     settings: Annotated[
         Path | None,
         typer.Option(

@@ -16,6 +16,7 @@ from smp_gym.assets import asset_path
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.agents.cloning import CLONES, Cloning, CloningSettings
 from smp_planner.benchmark.options import (
+    AgentFolder,
     Interrupted,
     chosen_names,
     one_of,
@@ -37,10 +38,7 @@ def main(
         ),
     ] = "distilled",
     seed: Annotated[int, typer.Option(min=0, max=5, help="Of scenes, weights, batches.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
-    ] = None,
+    out: AgentFolder = None,
     settings: Annotated[
         Path | None,
         typer.Option(

@@ -21,6 +21,7 @@ from smp_gym.sampling import CROWDED
 from smp_gym.scene import TASKS
 from smp_planner.agents.bump_training import BumpSettings, BumpTraining
 from smp_planner.benchmark.options import (
+    AgentFolder,
     Interrupted,
     chosen_names,
     one_of,
@@ -41,10 +42,7 @@ def main(
     iterations: Annotated[
         int, typer.Option(min=1, help="Steps of the costs and batches in all.")
     ] = 600,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
-    ] = None,
+    out: AgentFolder = None,
     settings: Annotated[
         Path | None,
         typer.Option(

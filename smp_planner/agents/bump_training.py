@@ -38,13 +38,17 @@ import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 
-from smp_gym.arrays import FloatArray, shown
-from smp_gym.atomic_files import replacing, write_text
-from smp_gym.folder_lock import FolderLock
+from smp_gym.arrays import FloatArray
+from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, Scene
-from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.agents.posed_scenes import posed, primitive_of
+from smp_planner.agents.training_folder import (
+    claimed,
+    named_settings,
+    read_checkpoint,
+    write_checkpoint,
+)
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.planners.agent_file import AgentCard, write_agent
 from smp_planner.planners.bump_policy import (
@@ -129,13 +133,7 @@ class BumpSettings(BaseModel):
             OSError: there is no such file.
             ValueError: it is not JSON, or a setting is unknown or out of range.
         """
-        content = parse_json(read_file(path), str(path))
-        if not isinstance(content, dict):
-            raise ValueError(f"{path} must hold settings by name, got {shown(content)}")
-        chosen: dict[str, Any] = {}
-        for name in ("*", task, agent):
-            chosen |= content.get(name, {})
-        return cls.model_validate(chosen)
+        return cls.model_validate(named_settings(path, "*", task, agent))
 
 
 @dataclass(frozen=True)
@@ -228,14 +226,7 @@ class BumpTraining:
             "seed": seed,
             "settings": settings.model_dump(),
         }
-        text = json.dumps(description, indent=2) + "\n"
-        begun = folder / "run.json"
-        folder.mkdir(parents=True, exist_ok=True)
-        self._lock = FolderLock(folder)
-        if begun.exists() and begun.read_text() != text:
-            self._lock.close()
-            raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
-        write_text(begun, text)
+        self._lock = claimed(folder, description)
         self._planner = primitive_of(task)
         self._components = self._planner.prior.components()
         torch.manual_seed(seed)
@@ -453,8 +444,7 @@ class BumpTraining:
             "cpu_seconds": self.cpu_seconds,
             "curve": [asdict(point) for point in self.curve],
         }
-        with replacing(self._folder / "checkpoint.pt") as aside:
-            torch.save(content, aside)
+        write_checkpoint(self._folder, content)
         self._write_curve()
 
     def _write_curve(self) -> None:
@@ -463,10 +453,9 @@ class BumpTraining:
         write_table(self._folder / "curve.csv", names, rows)
 
     def _restore(self) -> None:
-        path = self._folder / "checkpoint.pt"
-        if not path.exists():
+        content = read_checkpoint(self._folder)
+        if content is None:
             return
-        content = torch.load(path, weights_only=True)
         self.policy.load_state_dict(content["policy"])
         self._optimiser.load_state_dict(content["optimiser"])
         self.iteration, self.trajectories = content["iteration"], content["trajectories"]

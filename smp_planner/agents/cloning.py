@@ -15,7 +15,6 @@ The folder that a training writes holds
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -31,15 +30,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 import smp_gym  # noqa: F401  (registers the environments)
-from smp_gym.arrays import shown
-from smp_gym.atomic_files import replacing, write_text
-from smp_gym.folder_lock import FolderLock
+from smp_gym.atomic_files import replacing
 from smp_gym.observation import observation_space
 from smp_gym.registration import environment_id
 from smp_gym.rollout import Moment, Policy, rollout
 from smp_gym.sampling import sample_scene
-from smp_gym.untrusted_files import parse_json, read_file
 from smp_planner.agents.actor_file import Actor, ActorCard, write_actor
+from smp_planner.agents.training_folder import (
+    claimed,
+    named_settings,
+    read_checkpoint,
+    write_checkpoint,
+)
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.torch_threads import one_thread
@@ -96,14 +98,11 @@ class CloningSettings(BaseModel):
             OSError: there is no such file.
             ValueError: it is not JSON, or a setting is unknown or out of range.
         """
-        content = parse_json(read_file(path), str(path))
-        if not isinstance(content, dict):
-            raise ValueError(f"{path} must hold settings by name, got {shown(content)}")
-        return cls.model_validate(content.get("*", {}) | content.get(agent, {}))
+        return cls.model_validate(named_settings(path, "*", agent))
 
 
 class DisturbedPolicy:
-    """A policy whose actions random bursts replace, and what it would have done at every step.
+    """A policy with bursts of random rates in place of its actions, which it records.
 
     Args:
         policy: that is disturbed.
@@ -143,7 +142,7 @@ class DisturbedPolicy:
 
 @dataclass(frozen=True)
 class Episode:
-    """What was observed in an episode, and what the policy did or would have done.
+    """Observations of an episode, and the policy's action at each.
 
     Attributes:
         observations: (steps, F) by entry.
@@ -224,14 +223,7 @@ class Cloning:
             "seed": seed,
             "settings": settings.model_dump(mode="json"),
         }
-        text = json.dumps(self._description, indent=2) + "\n"
-        begun = folder / "run.json"
-        folder.mkdir(parents=True, exist_ok=True)
-        self._lock = FolderLock(folder)
-        if begun.exists() and begun.read_text() != text:
-            self._lock.close()
-            raise ValueError(f"{folder} holds another training, or a damaged one, see {begun}")
-        write_text(begun, text)
+        self._lock = claimed(folder, self._description)
         self.epoch, self.failed = 0, 0
         self.curve: list[tuple[int, float, float]] = []
         self._watch_seconds, self._fit_seconds = 0.0, 0.0
@@ -242,12 +234,12 @@ class Cloning:
 
     @property
     def episodes(self) -> int:
-        """How many episodes are played."""
+        """Number of episodes that are played."""
         return self._settings.episodes
 
     @property
     def epochs(self) -> int:
-        """How many epochs there are."""
+        """Number of epochs."""
         return self._settings.epochs
 
     def close(self) -> None:
@@ -372,15 +364,13 @@ class Cloning:
             "fit_seconds": self._fit_seconds,
             "curve": self.curve,
         }
-        with replacing(self._folder / "checkpoint.pt") as aside:
-            torch.save(content, aside)
+        write_checkpoint(self._folder, content)
         write_table(self._folder / "curve.csv", ["epoch", "error", "error_apart"], self.curve)
 
     def _restore(self) -> None:
-        path = self._folder / "checkpoint.pt"
-        if not path.exists():
+        content = read_checkpoint(self._folder)
+        if content is None:
             return
-        content = torch.load(path, weights_only=True)
         self.actor.load_state_dict(content["actor"])
         self._optimiser.load_state_dict(content["optimiser"])
         self.epoch, self._fit_seconds = content["epoch"], content["fit_seconds"]

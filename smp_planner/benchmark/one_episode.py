@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["plays_one_episode"]
 
 _FIRST = ("manifest", "key")
-"""What a command takes in place of the options."""
+"""Arguments of a command that its options are made into."""
 
 
 def plays_one_episode(command: Callable[..., None]) -> Callable[..., None]:

@@ -30,6 +30,7 @@ from smp_gym.scene import EVALUATION_SEEDS_START
 from smp_planner.benchmark.worker_pool import workers
 
 __all__ = [
+    "AgentFolder",
     "CommandLine",
     "Interrupted",
     "Jobs",
@@ -51,6 +52,12 @@ Names = Annotated[str, typer.Option(help="Separated by commas. Default: all.")]
 
 Jobs = Annotated[int, typer.Option(min=1, help="Worker processes.")]
 """Option for the number of worker processes."""
+
+AgentFolder = Annotated[
+    Path | None,
+    typer.Option(help="Folder to write; by default below results/agents/.", file_okay=False),
+]
+"""Option for the folder of a training."""
 
 LARGEST = 2**31 - 1
 """Largest whole number of an option: more than this neither memory nor time is there for."""

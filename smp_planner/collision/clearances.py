@@ -202,7 +202,7 @@ class SphereClearances:
 
 @dataclass(frozen=True, eq=False)
 class JointLimitClearances:
-    """What is left of each joint's range below and above, rad: M = 2 n.
+    """Distances, rad, of joints from their lower and their upper limits: M = 2 n.
 
     Attributes:
         lower: (n,) rad.
