@@ -26,16 +26,10 @@ from smp_gym.rollout import Policy
 from smp_gym.untrusted_files import read_file, read_members
 from smp_planner.agents.actor_file import read_actor
 from smp_planner.agents.decisions import acting
+from smp_planner.agents.shipped import TRAINED_BY
 from smp_planner.planners.card_file import shipped_agent
 
 __all__ = ["RandomActions", "ViewingAgent", "load_shipped", "load_zip"]
-
-_TRAINED_BY = {
-    "sac_her": "train_agent.py",
-    "cloning": "train_cloning.py --agent cloning",
-    "distilled": "train_cloning.py",
-}
-"""Scripts that train the agents whose actors are shipped."""
 
 _ACTIONS = spaces.Box(-1.0, 1.0, (7,), np.float32)
 
@@ -149,7 +143,7 @@ def load_shipped(name: str, task: str) -> ViewingAgent:
     except FileNotFoundError as error:
         raise ValueError(
             f"no agent {name} is shipped for {task} ({error.filename}): train one with "
-            f"scripts/{_TRAINED_BY[name]}, then write it there with scripts/ship_agent.py"
+            f"scripts/{TRAINED_BY[name]}, then write it there with scripts/ship_agent.py"
         ) from None
     own = observation_space(task)
     space = spaces.Dict({key: own[key] for key in card.entries})

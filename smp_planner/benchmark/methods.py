@@ -20,6 +20,7 @@ from typing import Any
 from smp_gym.assets import asset_path
 from smp_gym.rollout import Policy
 from smp_gym.suites import Cell
+from smp_planner.agents.shipped import TRAINED_BY
 from smp_planner.planners import registry
 from smp_planner.planners.registry import installed_methods, known_methods
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -27,10 +28,7 @@ from smp_planner.policy.replanned_execution import LATENCY
 
 __all__ = ["AGENTS", "Acting", "known_methods_and_agents", "resolve_method"]
 
-SHIPPED = ("sac_her", "cloning", "distilled")
-"""Agents whose actors are shipped, see `smp_planner.agents.actor_file`."""
-
-AGENTS = ("random", *SHIPPED)
+AGENTS = ("random", *TRAINED_BY)
 """Agents that have a name of their own."""
 
 _ZIP = ".zip"
@@ -81,7 +79,7 @@ class Acting:
         # stable-baselines3 takes seconds to import, and planners do without.
         from smp_planner.agents.acting import RandomActions, load_shipped, load_zip
 
-        if self.spec in SHIPPED:
+        if self.spec in TRAINED_BY:
             shipped = load_shipped(self.spec, task)
             shipped.check(task, sensing)
             return shipped
