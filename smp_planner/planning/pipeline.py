@@ -35,6 +35,7 @@ from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.target import SceneTarget, TargetBatch
 from smp_planner.planning.threads import Threads, default_threads
+from smp_planner.planning.tries import tries
 from smp_planner.torch_threads import one_thread
 
 if TYPE_CHECKING:
@@ -166,9 +167,10 @@ def plan_problems(
 ) -> list[Plan]:
     """Return one plan for each problem; without a deadline, the same problem gives the same plan.
 
-    A problem without a good particle is tried again with twice the added deviation, as often as
-    `PlanSettings.retries` says; of tries that all fail, the first, with the prior as learned, is
-    taken. What is not adapted is not tried again.
+    A problem without a good particle is tried again, as often as `PlanSettings.retries` and as
+    `smp_planner.planning.tries` say; of tries that all fail, the first, with the prior as learned,
+    is taken. What is not adapted is not tried again. Of a try with more particles than were asked
+    for as many are kept, at random.
 
     With a deadline there are as many iterations as it leaves room for, no new try once it is over,
     and the best of the particles that could be checked is chosen; if none of these is good, the
@@ -186,8 +188,8 @@ def plan_problems(
         own: costs of one's own by name, each with its weight.
         device: what adapts and checks all problems together; None does it problem by problem.
         history: iterations after which particles are kept on their way, as plans of their own in
-            `Plan.history`, whose checks count in no timing; None keeps none. The plan itself is the
-            same in any case.
+            `Plan.history`, whose checks count in no timing, all particles of the try that the plan
+            is of; None keeps none. The plan itself is the same in any case.
 
     Raises:
         UnreachableError: a goal is out of reach.
@@ -215,13 +217,13 @@ def plan_problems(
                 f"have, got {problem.body.dimension} in problems[{index}]"
             )
     attempts = [_Attempt(problem) for problem in problems]
-    tries = settings.retries + 1 if adaptation.adapt is not None else 1
-    wanted = settings
-    if _competes(adaptation):
-        overdraw = adaptation.settings.overdraw  # type: ignore[attr-defined]
-        wanted = settings.model_copy(update={"particles": overdraw * settings.particles})
+    compete = _competes(adaptation)
+    overdraw: int = adaptation.settings.overdraw if compete else 1  # type: ignore[attr-defined]
+    ahead = tries(settings, compete=compete and device is None)
+    if adaptation.adapt is None:
+        ahead = ahead[:1]
     with Threads(default_threads() if threads is None else threads) as pool, one_thread():
-        for number in range(tries):
+        for number, (particles, width) in enumerate(ahead):
             if number > 0 and time.perf_counter() > until:
                 break
             open_ = [attempt for attempt in attempts if not attempt.done]
@@ -231,10 +233,12 @@ def plan_problems(
                         attempt.target = SceneTarget(
                             attempt.problem, settings, dict(own), threads=pool
                         )
-                _draw(attempt, prior, wanted, 2.0**number)
+                _draw(attempt, prior, _with(settings, overdraw * particles), width)
             open_ = [attempt for attempt in open_ if not attempt.done]
             if device is None:
-                _adapt(open_, adaptation, settings, until, history)
+                _adapt(open_, adaptation, _with(settings, particles), until, history)
+                for attempt in open_:
+                    _thin(attempt, settings.particles)
                 plans = [_plan_of(attempt, prior, settings, until) for attempt in open_]
             else:
                 plans = _on_device(open_, prior, adaptation, settings, own, device)
@@ -258,6 +262,11 @@ def _chosen(attempt: _Attempt, prior: Prior, settings: PlanSettings) -> Plan:
     return attempt.best.changed(timings=timings, history=history)
 
 
+def _with(settings: PlanSettings, particles: int) -> PlanSettings:
+    """Return settings with another number of particles."""
+    return settings.model_copy(update={"particles": particles})
+
+
 def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float) -> None:
     """Draw the particles of one attempt."""
     with attempt.stopwatch.stage("conditioning"):
@@ -268,6 +277,23 @@ def _draw(attempt: _Attempt, prior: Prior, settings: PlanSettings, width: float)
             if attempt.best is None:
                 raise
             attempt.done = True
+
+
+def _thin(attempt: _Attempt, count: int) -> None:
+    """Keep so many of an attempt's particles, all alike in their chances, if there are more."""
+    parts = attempt.parts
+    owner = np.repeat(np.arange(len(parts)), [len(part.latent) for part in parts])
+    if len(owner) <= count:
+        return
+    rng = np.random.default_rng([attempt.problem.seed, 4])
+    chosen = np.sort(rng.choice(len(owner), count, replace=False))
+    first = np.searchsorted(owner, np.arange(len(parts)))
+    kept = [chosen[owner[chosen] == index] - first[index] for index in range(len(parts))]
+    attempt.parts = [
+        replace(part, latent=part.latent[torch.from_numpy(own)])
+        for part, own in zip(parts, kept, strict=True)
+        if len(own)
+    ]
 
 
 def _adapt(

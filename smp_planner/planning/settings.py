@@ -80,8 +80,8 @@ class PlanSettings(BaseModel):
         widths: factors, at least 1, of the prior's added deviation, ascending: the prior is a
             mixture of primitives, of one for each width, of equal shares. A narrow one keeps near
             to the demonstrations, a wide one gets around what they never met.
-        retries: how often a problem without a good particle is tried again, each time with twice
-            the added deviation.
+        retries: how often a problem without a good particle is tried again, with more particles or
+            a wider prior, see `smp_planner.planning.tries`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -106,7 +106,7 @@ class PlanSettings(BaseModel):
     forecast_growth: float = Field(default=0.2, ge=0.0, allow_inf_nan=False)
     forecast_margin: tuple[_NotNegative, _NotNegative] = (0.01, 0.05)
     widths: tuple[float, ...] = (1.0,)
-    retries: int = Field(default=1, ge=0)
+    retries: int = Field(default=2, ge=0)
 
     @field_validator("widths")
     @classmethod

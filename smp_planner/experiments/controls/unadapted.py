@@ -10,6 +10,7 @@ from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.conditioning import conditioned_parts
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.tries import tries
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["plan_unadapted"]
@@ -18,8 +19,8 @@ __all__ = ["plan_unadapted"]
 def plan_unadapted(task: str, problem: Problem) -> Plan | None:
     """Return the first try of the unadapted primitive with a good draw, else its first try.
 
-    A try has as many draws as `smp` chooses its particles from; each further one has twice the
-    added deviation, as `smp`'s retries have, and there are as many.
+    There are as many tries as `smp` has, each with the same prior and as many draws as `smp`
+    chooses its particles from in it.
 
     Args:
         task: whose primitive it is.
@@ -30,12 +31,12 @@ def plan_unadapted(task: str, problem: Problem) -> Plan | None:
     """
     planner = primitive_of(task)
     settings, first = planner.plan_settings, None
-    draws = overdraw_of(task) * settings.particles
-    drawn_from = settings.model_copy(update={"particles": draws})
     with one_thread():
-        for number in range(settings.retries + 1):
+        for particles, width in tries(settings, compete=True):
+            draws = overdraw_of(task) * particles
+            drawn_from = settings.model_copy(update={"particles": draws})
             try:
-                parts = conditioned_parts(planner.prior, problem, drawn_from, 2.0**number)
+                parts = conditioned_parts(planner.prior, problem, drawn_from, width)
             except UnreachableError:
                 break
             drawn = [

@@ -1,6 +1,7 @@
 """The paper's baselines: what each must do whatever the scene, and what it is worth in one."""
 
 from dataclasses import replace
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 
 from smp_gym.observation import decode
 from smp_gym.scene import Obstacle
+from smp_planner.adaptation.variational import VariationalSettings
 from smp_planner.planners import make_planner
 from smp_planner.planning.conditioning import condition
 from smp_planner.planning.settings import PlanSettings
@@ -18,6 +20,8 @@ from smp_planner.policy.observed_problem import problem_from
 BASELINES = ("cpromp", "prompt_o", "promp_diff")
 SHIFTING = BASELINES[1:]
 SEEDS = (0, 1, 2)
+SAME: dict[str, Any] = {"basis_functions": 15, "smooth_length_scale": 0.2, "widths": (1.0,)}
+"""The control's primitive, so that draws can be compared one by one."""
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +33,7 @@ def problems(placement, blocked):
 def plans(problems):
     """The plans of all baselines and of the control, without a second try."""
     plans = {
-        name: make_planner(name, "Placement", settings={"retries": 0}).plan(problems)
+        name: make_planner(name, "Placement", settings={"retries": 0, **SAME}).plan(problems)
         for name in BASELINES
     }
     return plans | {"promp": make_planner("promp", "Placement").plan(problems)}
@@ -84,8 +88,12 @@ def latents(name, plan, problem):
 
 
 def test_cpromp_gives_up_spread_for_freedom(plans, problems):
+    """By its defaults, which belong to no task."""
+    usual = {name: field.default for name, field in VariationalSettings.model_fields.items()}
+    costs = {"obstacle_weight": 3.0, "margin": 0.01, "edge_width": (0.05, 0.01), "retries": 0}
+    freed = make_planner("cpromp", "Placement", settings=SAME | usual | costs).plan(problems)
     spreads = []
-    for plan, control, problem in zip(plans["cpromp"], plans["promp"], problems, strict=True):
+    for plan, control, problem in zip(freed, plans["promp"], problems, strict=True):
         sets = (latents(name, p, problem) for name, p in (("c", plan), ("p", control)))
         spreads.append([each.std(axis=0).mean() for each in sets])
     narrow, wide = np.mean(spreads, axis=0)
@@ -107,7 +115,11 @@ def test_with_nothing_to_avoid_the_primitive_stays_as_it_is(name, problems, regi
     far = Obstacle(shape="sphere", position=(3.0, 3.0, 3.0), size=(0.05, 0.05, 0.05))
     goal = region(problem.goals[0].center, half=(0.2, 0.2, 0.2))
     free = among(problem, (far,), (goal,))
-    nothing_else = {"self_collision_weight": 0.0, "velocity_weight": 0.0, "limit_weight": 0.0}
+    nothing_else = SAME | {
+        "self_collision_weight": 0.0,
+        "velocity_weight": 0.0,
+        "limit_weight": 0.0,
+    }
     (plan,) = make_planner(name, "Placement", settings=nothing_else).plan([free])
     (control,) = make_planner("promp", "Placement").plan([free])
     np.testing.assert_allclose(plan.weights, control.weights, atol=1e-9)
@@ -118,7 +130,7 @@ def test_cpromp_without_obstacles_is_nearly_the_prior(problems):
     """Its other costs, at their usual weights, take little from draws whose path is free."""
     problem = problems[0]
     free = among(problem, (), problem.goals)
-    (plan,) = make_planner("cpromp", "Placement", settings={"particles": 1000}).plan([free])
+    (plan,) = make_planner("cpromp", "Placement", settings={"particles": 1000, **SAME}).plan([free])
     drawn = latents("cpromp", plan, free)
     assert np.linalg.norm(drawn.mean(axis=0)) < 1.5
     assert np.cov(drawn.T).trace() / drawn.shape[1] == pytest.approx(1.0, abs=0.15)

@@ -21,6 +21,14 @@ from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 
+USUAL = {
+    name: field.default
+    for name, field in RRTConnectSettings.model_fields.items()
+    if name != "particles"
+}
+"""The settings of no task."""
+
+
 def lid(scene):
     """A plate over the bin, under which no hand fits."""
     x, y, _ = scene.goals[0].position
@@ -39,7 +47,7 @@ def scene(crowded):
 
 @pytest.fixture(scope="module")
 def planner():
-    return make_planner("rrt_connect", "Placement")
+    return make_planner("rrt_connect", "Placement", settings=USUAL)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +70,7 @@ def solved(problem, held, plan):
 
 def test_every_search_finds_an_executable_trajectory(placement, held, blocked):
     """Without obstacles and before the columns, for twelve places of the bin."""
-    single = make_planner("rrt_connect", "Placement", settings={"particles": 1})
+    single = make_planner("rrt_connect", "Placement", settings={"particles": 1, **USUAL})
     for seed in range(12):
         for scene in (sample_scene("Placement", "none", seed), blocked(seed)):
             problem = placement(scene, seed)
@@ -137,7 +145,7 @@ def test_the_same_problem_gives_the_same_plan_whatever_came_before(planner, plan
 
 
 def test_fewer_particles_are_the_first_of_more(plan, placement, scene):
-    two = make_planner("rrt_connect", "Placement", settings={"particles": 2})
+    two = make_planner("rrt_connect", "Placement", settings={"particles": 2, **USUAL})
     few = two.plan([placement(scene)])[0]
     np.testing.assert_array_equal(few.trajectories, plan.trajectories[:2])
 
