@@ -20,7 +20,6 @@ from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-
 USUAL = {
     name: field.default
     for name, field in RRTConnectSettings.model_fields.items()
