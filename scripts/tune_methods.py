@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from smp_gym.atomic_files import write_text
 from smp_gym.scene import DIFFICULTIES, TASKS
 from smp_planner.benchmark.options import (
     Jobs,
@@ -23,12 +24,22 @@ from smp_planner.benchmark.options import (
 )
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.experiments.kept_results import kept_results
-from smp_planner.experiments.method_tuning import SPACES, cells_of, trial, trials_table
+from smp_planner.experiments.method_tuning import (
+    SPACES,
+    cells_of,
+    trial,
+    trials_csv,
+    trials_table,
+)
 
 
 def main(
     out: Annotated[
-        Path, typer.Option(help="JSON file of all trials; the command resumes.", dir_okay=False)
+        Path,
+        typer.Option(
+            help="JSON file of all trials; the command resumes. Their means go into a CSV beside.",
+            dir_okay=False,
+        ),
     ] = Path("results/tuning/trials.json"),
     tasks: Names = "",
     methods: Names = "",
@@ -55,7 +66,9 @@ def main(
         found = kept_results(out, terms, trial, by_name, "candidates", console, jobs)
     except ResultsError as error:
         raise typer.BadParameter(str(error), param_hint="--out") from error
-    console.print(trials_table(cells, list(found.values())))
+    trials = list(found.values())
+    write_text(out.with_suffix(".csv"), trials_csv(cells, trials))
+    console.print(trials_table(cells, trials))
 
 
 if __name__ == "__main__":

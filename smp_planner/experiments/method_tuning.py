@@ -9,6 +9,9 @@ good, by the planners' exact check; the physics takes no part. All methods of a 
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -22,7 +25,16 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.registration import environment_id
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["SPACES", "Cell", "candidate", "cells_of", "ranked", "trial", "trials_table"]
+__all__ = [
+    "SPACES",
+    "Cell",
+    "candidate",
+    "cells_of",
+    "ranked",
+    "trial",
+    "trials_csv",
+    "trials_table",
+]
 
 _COSTS: dict[str, tuple[Any, ...]] = {
     "obstacle_weight": (1.0, 3.0, 10.0, 20.0, 30.0, 100.0),
@@ -147,6 +159,27 @@ def ranked(
     for members in groups.values():
         members.sort(key=lambda member: _merit(member[1]), reverse=True)
     return groups
+
+
+def trials_csv(cells: Sequence[Cell], trials: Sequence[Mapping[str, Any]]) -> str:
+    """Return CSV text of trials, a row each.
+
+    Columns are the ``task``, ``method`` and number of the ``candidate``; how many ``scenes`` there
+    were and how many of them were ``solved``; the mean shares ``good`` and ``free`` of particles;
+    ``seconds`` a plan in the mean; and, as JSON, the ``settings`` in place of the method's own.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = "task method candidate scenes solved good free seconds settings"
+    writer.writerow(columns.split())
+    for cell, found in zip(cells, trials, strict=True):
+        solved, share = _merit(found)
+        means = (share, np.mean(found["free"]), np.mean(found["seconds"]))
+        counts = (cell.task, cell.method, cell.number, len(cell.seeds), solved)
+        writer.writerow(
+            [*counts, *(f"{mean:.4f}" for mean in means), json.dumps(found["settings"])]
+        )
+    return text.getvalue()
 
 
 def trials_table(

@@ -1,11 +1,15 @@
 """The search of settings: what is tried, how it is judged and ranked, and that it is continued."""
 
+import csv
 import json
 import re
+from itertools import groupby
 
 import pytest
 from rich.console import Console
 
+from smp_gym.assets import asset_path
+from smp_gym.scene import TASKS
 from smp_planner.benchmark.manifest import code_digest
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.experiments.kept_results import kept_results
@@ -16,6 +20,7 @@ from smp_planner.experiments.method_tuning import (
     cells_of,
     ranked,
     trial,
+    trials_csv,
     trials_table,
 )
 from smp_planner.planners import make_planner, task_settings
@@ -132,3 +137,40 @@ def test_results_of_other_terms_are_left_as_they_are(tmp_path):
     path.write_text(path.read_text().replace(code_digest(), "of-before"))
     with pytest.raises(ResultsError, match=r"of-before.* there"):
         _kept(path, [1])
+
+
+def logged():
+    """Yield the rows of the search that is shipped, by task and method."""
+    with asset_path("results", "tuning.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for key, members in groupby(rows, lambda row: (row["task"], row["method"])):
+        yield key, list(members)
+
+
+def test_methods_are_set_to_the_best_of_as_many_candidates_each():
+    """But where that is better by a hundredth of the particles at most, which chance may be."""
+    found = set()
+    for (task, method), members in logged():
+        found.add((task, method))
+        assert [int(row["candidate"]) for row in members] == list(range(30))
+        own = members[0]
+        best = max(members, key=lambda row: (int(row["solved"]), float(row["good"])))
+        margin = float(best["good"]) - float(own["good"])
+        if best["solved"] == own["solved"] and margin < 0.01:
+            continue
+        settings = json.loads(best["settings"])
+        assert settings == json.loads(json.dumps(candidate(task, method, int(best["candidate"]))))
+        taken = json.loads(json.dumps(make_planner(method, task).settings))
+        assert taken | settings == taken
+    methods = set(SPACES) - {"cpromp_chance"}
+    assert found == {(task, method) for task in TASKS for method in methods}
+
+
+def test_a_log_holds_what_trials_came_to():
+    cells = cells_of(["Placement"], ["cpromp"], 2, "easy", range(2))
+    text = trials_csv(cells, [_found([0.9, 0.0]), _found([0.1, 0.2], margin=0.02)])
+    rows = list(csv.DictReader(text.splitlines()))
+    assert [(row["solved"], row["good"], json.loads(row["settings"])) for row in rows] == [
+        ("1", "0.4500", {}),
+        ("2", "0.1500", {"margin": 0.02}),
+    ]
