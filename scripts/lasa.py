@@ -1,7 +1,7 @@
 """The experiments on LASA handwriting: figures and tables in the manner of Sec. V-A, on any shape.
 
 compare draws Fig. 1 and measures it, modulate draws Fig. 2, boxes fills Table I, and tune finds the
-settings of the methods.
+settings of the methods. posterior holds settings of SVGD against the exact posterior.
 """
 
 from __future__ import annotations
@@ -18,6 +18,12 @@ from rich.console import Console
 
 from smp_planner.benchmark.options import CommandLine, Names, chosen_names
 from smp_planner.experiments import boxes, comparison, lasa_modulation, tuning
+from smp_planner.experiments.lasa_posterior import (
+    VARIANTS,
+    Ground,
+    settings_columns,
+    settings_rows,
+)
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2A,
@@ -27,6 +33,8 @@ from smp_planner.experiments.lasa_scenes import (
     scene_of,
 )
 from smp_planner.experiments.tables import report
+from smp_planner.inference import SETTINGS
+from smp_planner.inference.smc import SMCSettings
 
 app = CommandLine(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__
@@ -140,6 +148,42 @@ def tune(
         rows = tuning.tuning_rows(name, particles, repetitions)
         summaries = report(rows, ["method", "candidate"], tuning.COLUMNS, out, name)
         Console().print(f"best: {summaries[tuning.best(summaries)]['candidate']}")
+
+
+@app.command()
+def posterior(
+    variant: Annotated[
+        str, typer.Option(help=f"Scenes, of {', '.join(VARIANTS)}. Default: all.")
+    ] = "",
+    settings: Annotated[
+        str, typer.Option(help=f"Settings, of {', '.join(SETTINGS)}. Default: all.")
+    ] = "",
+    particles: Annotated[int, typer.Option(min=2, help="Of each set.")] = 42,
+    repetitions: Annotated[int, typer.Option(min=1, help="Of each setting.")] = 20,
+    reference_particles: Annotated[int, typer.Option(min=2, help="Of each reference run.")] = 2000,
+    reference_runs: Annotated[int, typer.Option(min=1, help="Of the reference.")] = 10,
+    out: _Out = Path("results/lasa/posterior"),
+) -> None:
+    """Hold settings of SVGD against the exact posterior, which sequential Monte Carlo draws from.
+
+    Written is a table for each scene: CSV of all rows, JSON and Markdown of means and spreads.
+
+    All scenes together take about ten minutes of one core.
+
+    Example: python scripts/lasa.py posterior --variant fig1 --settings default,paper
+    """
+    chosen = chosen_names(settings, tuple(SETTINGS), "--settings")
+    for name in chosen_names(variant, tuple(VARIANTS), "--variant"):
+        with Console().status(f"{name}: drawing from the exact posterior"):
+            ground = Ground.of(
+                VARIANTS[name], reference_runs, SMCSettings(reference_particles, last_moves=100)
+            )
+        rows = settings_rows(ground, chosen, particles, repetitions, name)
+        note = (
+            f"{particles} particles, {repetitions} repetitions; the posterior by {reference_runs} "
+            f"runs of {reference_particles} particles."
+        )
+        report(rows, ["setting"], settings_columns(ground), out, name, note, name)
 
 
 if __name__ == "__main__":

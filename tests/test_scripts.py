@@ -15,8 +15,7 @@ SCRIPTS = {
 }
 WITH_COMMANDS = {
     "controls": ("run", "table"),
-    "lasa": ("boxes", "compare", "modulate", "tune"),
-    "svgd_settings": ("arm", "lasa"),
+    "lasa": ("boxes", "compare", "modulate", "posterior", "tune"),
     "table_two": ("run", "show"),
 }
 EXAMPLES = [
@@ -43,7 +42,6 @@ EXAMPLES = [
         "run_notebook",
         "speed_costs",
         "speed_env",
-        "svgd_settings",
         "table_two",
         "train_agent",
         "train_cloning",

@@ -20,7 +20,7 @@ import torch
 from scipy import stats
 
 from smp_gym.datasets.demonstrations import Demonstrations
-from smp_planner.experiments.arm_settings import environment
+from smp_planner.experiments.environments import environment
 from smp_planner.experiments.set_measures import of_trajectories
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.planners import make_planner

@@ -24,8 +24,8 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import Scene
 from smp_gym.suites import Cell
 from smp_planner.experiments.arm_posterior import SMC, posterior_draws
-from smp_planner.experiments.arm_settings import environment
 from smp_planner.experiments.controls.unadapted import plan_unadapted
+from smp_planner.experiments.environments import environment
 from smp_planner.experiments.set_measures import (
     PosteriorSample,
     against_posterior,
@@ -61,6 +61,13 @@ UNADAPTED = "unadapted"
 MEAN = "mean"
 """Name of the row of copies of the prior's mean: what a set without any spread scores."""
 
+
+def _svgd(inference: str, iterations: int = 100) -> tuple[str, dict[str, Any]]:
+    """Return a row of SVGD by itself: with steps of its own, and a prior of one width."""
+    own = {"inference": inference, "iterations": iterations, "step_size": None}
+    return "smp", own | {"widths": (1.0,)}
+
+
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "smp": ("smp", {}),
     "one width": ("smp", {"widths": (1.0,)}),
@@ -70,9 +77,15 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "no repulsion": ("smp", {"inference": "tempered_no_repulsion"}),
     "no annealing": ("smp", {"inference": "tempered_no_annealing"}),
     "inverse multi-quadric": ("smp", {"inference": "tempered_imq"}),
-    "quick SVGD": ("smp", {"inference": "quick", "widths": (1.0,)}),
-    "SVGD": ("smp", {"inference": "default", "iterations": 100, "widths": (1.0,)}),
-    "paper": ("smp", {"inference": "paper", "iterations": 400, "widths": (1.0,)}),
+    "quick SVGD": _svgd("quick", 50),
+    "SVGD": _svgd("default"),
+    "SVGD, no repulsion": _svgd("no_repulsion"),
+    "SVGD, no annealing": _svgd("no_annealing"),
+    "SVGD, raw weights": _svgd("raw"),
+    "SVGD, med²/log m": _svgd("median_over_log"),
+    "SVGD, path kernel": _svgd("path_kernel"),
+    "paper": _svgd("paper"),
+    "paper, 4 times the iterations": _svgd("paper", 400),
     "cpromp": ("cpromp", {}),
     "cpromp_chance": ("cpromp_chance", {}),
     "prompt_o": ("prompt_o", {}),

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.special import logsumexp
 
-from smp_planner.experiments import svgd_settings
+from smp_planner.experiments import lasa_posterior
 from smp_planner.experiments.comparison import common_ends
 from smp_planner.experiments.lasa_scenes import FIGURE_1, FIGURE_2B, learn, settings
 from smp_planner.experiments.paths import classes
@@ -74,16 +74,16 @@ def test_a_set_against_itself(primitive: SMP) -> None:
 
 
 def test_rows_of_settings() -> None:
-    ground = svgd_settings.Ground.of(
-        svgd_settings.VARIANTS["fig1"], 2, SMCSettings(50, moves=2, last_moves=2)
+    ground = lasa_posterior.Ground.of(
+        lasa_posterior.VARIANTS["fig1"], 2, SMCSettings(50, moves=2, last_moves=2)
     )
     ground = replace(ground, prior=ground.prior[::20])
-    names = [svgd_settings.EXACT, "default", "no_repulsion"]
+    names = [lasa_posterior.EXACT, "default", "no_repulsion"]
     rows = [*ground.reference_rows(), *(ground.row(name, 12, 3) for name in names)]
     assert rows[3] == ground.row("default", 12, 3)
     summaries = summarise(rows, ["setting"])
-    assert [s["setting"] for s in summaries] == [svgd_settings.POSTERIOR, *names]
-    for column in svgd_settings.settings_columns(ground):
+    assert [s["setting"] for s in summaries] == [lasa_posterior.POSTERIOR, *names]
+    for column in lasa_posterior.settings_columns(ground):
         assert column.text(summaries[1][column.name])
     # Particles on their own all climb to the top of their class.
     assert rows[4]["spread"] < 0.2 < rows[3]["spread"]

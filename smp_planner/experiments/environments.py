@@ -1,0 +1,19 @@
+"""Environments of a process, for experiments that take the scenes of a task in a row."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import gymnasium
+
+import smp_gym  # noqa: F401  (registers the environments)
+from smp_gym.registration import environment_id
+
+__all__ = ["environment"]
+
+
+@lru_cache(maxsize=1)
+def environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
+    """Return the environment of a task and a difficulty, made once for scenes in a row."""
+    return gymnasium.make(environment_id(task), difficulty=difficulty)
