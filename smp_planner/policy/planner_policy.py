@@ -32,14 +32,13 @@ from smp_planner.planning.problem import Planner, Problem
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.policy_file import SavedPolicy, read_policy, write_policy
+from smp_planner.policy.pursuit import Pursuit, highest_rate
 from smp_planner.policy.replanned_execution import (
     LATENCY,
-    Pursuit,
     Replanner,
     Replanning,
     begin,
     foreseen,
-    highest_rate,
     pursue,
 )
 from smp_planner.policy.tracking import GripperEvent, Track, gripper_event

@@ -12,8 +12,8 @@ from smp_gym.robot.kinematics import JOINT_VELOCITY
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
 from smp_planner.planning.clock import RAMP
+from smp_planner.policy.outlook import SAFE_DISTANCE
 from smp_planner.policy.planner_policy import PlannerPolicy
-from smp_planner.policy.replanned_execution import SAFE_DISTANCE
 
 FEW = {"particles": 14}
 EVERY, LATENCY = 7, 3
