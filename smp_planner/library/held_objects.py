@@ -88,16 +88,19 @@ class Holding:
         return found
 
     def robot_with(
-        self, held: Mapping[str, tuple[list[Obstacle], tuple[str, ...]]]
+        self, held: Mapping[str, tuple[list[Obstacle], tuple[str, ...]]], overshoot: float
     ) -> Robot | None:
-        """Return the robot with the bodies that `parts` found."""
+        """Return the robot with the bodies that `parts` found.
+
+        Args:
+            held: by name.
+            overshoot: m, as of `Robot.holding`.
+        """
         robot = self.robot
         for name, (obstacles, touching) in held.items():
             assert robot is not None
             try:
-                robot = robot.holding(
-                    obstacles, overshoot=self.overshoot, name=name, touching=touching
-                )
+                robot = robot.holding(obstacles, overshoot=overshoot, name=name, touching=touching)
             except ValueError as error:
                 raise ValueError(f"{name}, which the robot holds: {error}") from error
         return robot

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from smp_gym.arrays import checked_number, shown
 from smp_gym.datasets.moveit_attached import attached_of
+from smp_gym.datasets.moveit_matrix import allowed_of
 from smp_gym.datasets.moveit_scene import (
     PoseGoal,
     base_moved,
@@ -25,6 +26,11 @@ from smp_gym.datasets.moveit_scene import (
     read_message,
 )
 from smp_gym.scene import Obstacle
+from smp_planner.library.allowed_collisions import (
+    passed_through,
+    touching_allowed,
+    warn_of_strangers,
+)
 from smp_planner.library.held_objects import Holding, refuse_doubled
 from smp_planner.library.pose_goals import goal_regions
 from smp_planner.library.scene_bodies import SKIPPING, obstacles_of
@@ -48,8 +54,9 @@ class PlanningScene:
             them into the robot's order.
         goals: likewise, each a goal that will do.
         tool_goals: regions of the tool with their orientations, each a goal that will do.
-        robot: the one that was given, with what it holds in the scene (`Robot.held`); primitives
-            are learned of it. None if none was given.
+        robot: the one that was given, with what it holds in the scene (`Robot.held`) and the links
+            that may touch there (`Robot.touching`); primitives are learned of it. None if none was
+            given.
     """
 
     obstacles: tuple[Obstacle, ...]
@@ -79,14 +86,15 @@ class PlanningScene:
         frames: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
         cell: float = 0.05,
         overshoot: float = 0.005,
+        held_overshoot: float = 0.01,
         skip_unsupported: bool = False,
     ) -> PlanningScene:
         """Read a scene, and a request for it.
 
         Boxes, spheres and cylinders are read as they are, cones as cylinders around them
         (`cone_obstacles`), meshes that the file holds as spheres over them (`mesh_obstacles`). The
-        start is that of the request, or else the robot's state in the scene. Collision matrix,
-        padding and colours are left alone, as are weights of goals and tolerances of joints.
+        start is that of the request, or else the robot's state in the scene. Padding and colours
+        are left alone, as are weights of goals and tolerances of joints.
 
         A goal of a pose, a position constraint with boxes and spheres as its regions and at most
         one orientation constraint, becomes a `GoalRegion` of the robot's tip for each region. What
@@ -100,6 +108,11 @@ class PlanningScene:
         the tip does; their poses are in the frame of any such link, or, by the state of the
         joints beside them, in one that stands still. Their touch links may touch them.
 
+        Of the allowed collision matrix, pairs of links and of what is held are added to
+        `Robot.touching`, and an object that all that moves may touch is no obstacle. Plans keep
+        clear of objects that only some links may touch; such pairs, and names that are of nothing,
+        are logged as warnings.
+
         Args:
             path: of MoveIt's text (``.scene``, at most 16 MiB), or of YAML (at most 1 MiB) with the
                 fields of ``moveit_msgs/PlanningScene``, as MotionBenchMaker has it.
@@ -107,13 +120,16 @@ class PlanningScene:
                 and goals from the scene's file, if it has any.
             robot: whose links that do not move are frames of known places, and whose root link
                 is "world", the frame of bodies that name none. Goals of a pose need it, and are of
-                its tip or of links that move as that does. Attached objects need it, too.
+                its tip or of links that move as that does. Attached objects and the matrix need it,
+                too.
             frames: position (3,) m and quaternion (4,) x, y, z, w, in the robot's root link, of
                 other frames by name. Frames that the file itself places in others follow these.
                 With neither robot nor frames the one frame of the file is taken for the root link.
             cell: m, size of the pieces of a mesh that each get a sphere.
-            overshoot: m, by which cylinders stand out of a cone at most, and spheres out of what
-                the robot holds.
+            overshoot: m, by which cylinders stand out of a cone at most.
+            held_overshoot: m, by which spheres stand out of what the robot holds at most
+                (`Robot.holding`); of a mesh or cone, out of the spheres or cylinders that stand for
+                it.
             skip_unsupported: leave out planes, octomaps, meshes of other files, objects attached
                 to links that do not move as the tip does, touch links that the robot lacks, all
                 that is attached where no robot is given, and constraints on the path, instead of
@@ -127,6 +143,7 @@ class PlanningScene:
         """
         cell = checked_number("cell", cell, above=0.0)
         overshoot = checked_number("overshoot", overshoot, above=0.0)
+        held_overshoot = checked_number("held_overshoot", held_overshoot, above=0.0)
         if robot is not None and not isinstance(robot, Robot):
             raise ValueError(f"robot must be a Robot, got {shown(robot)}")
         given = checked_frames(frames)
@@ -150,6 +167,7 @@ class PlanningScene:
                 )
             ]
             start = joints_of(message.get("robot_state"), "robot_state")
+            allowed = allowed_of(message)
             holding = Holding(robot, fixed, given, mentioned, cell, overshoot, skip_unsupported)
             held = holding.parts(attached, start)
         with _named(path if request is None else request, "request"):
@@ -176,9 +194,15 @@ class PlanningScene:
                 named = [goal.frame, *([goal.orientation.frame] if goal.orientation else [])]
                 placed = frame_poses(named, [*mentioned, *named], fixed, given, robot)
                 regions += goal_regions(goal, placed, robot)
-        names, obstacles = zip(*parts, strict=True) if parts else ((), ())
         with _named(path, "scene"):
-            carrying = holding.robot_with(held)
+            carrying = holding.robot_with(held, held_overshoot)
+        objects = {body.name for body in bodies}
+        warn_of_strangers(carrying, allowed, objects)
+        if carrying is not None:
+            carrying = touching_allowed(carrying, allowed)
+            free = passed_through(carrying, allowed, objects)
+            parts = [part for part in parts if part[0] not in free]
+        names, obstacles = zip(*parts, strict=True) if parts else ((), ())
         return cls(obstacles, names, start or None, tuple(joints), tuple(regions), carrying)
 
 

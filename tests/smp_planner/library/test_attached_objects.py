@@ -17,7 +17,7 @@ KUKA = f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf"
 LINKS = [f"lbr_iiwa_link_{number}" for number in range(8)]
 PANDA = f"{pybullet_data.getDataPath()}/franka_panda/panda.urdf"
 HAND, FINGERS = "panda_hand", ("panda_leftfinger", "panda_rightfinger")
-OVERSHOOT = 0.01
+OVERSHOOT = 0.015
 HERE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 BOX, BALL, TUBE = ("box", (0.1, 0.04, 0.16)), ("sphere", (0.05,)), ("cylinder", (0.2, 0.03))
 STATE = {
@@ -174,7 +174,7 @@ def test_objects_are_where_pybullet_puts_them(write, panda, physics):
         joints=STATE,
         fixed_frame_transforms=[frame],
     )
-    scene = PlanningScene.load(write(message), robot=panda, overshoot=OVERSHOOT)
+    scene = PlanningScene.load(write(message), robot=panda, held_overshoot=OVERSHOOT)
     assert scene.robot.held == ("pair", "by finger", "by frame", "by world")
     assert "holding pair, by finger" in repr(scene)
     assert scene.obstacles == ()
