@@ -24,14 +24,15 @@ def touching_allowed(robot: Robot, allowed: AllowedCollisions) -> Robot:
         robot: with all that it holds.
         allowed: of the scene.
     """
+    if not robot.bodies:
+        if allowed.permitting:
+            _LOGGER.warning(
+                "allowed_collision_matrix is not used: the robot does not know the links of its "
+                "spheres"
+            )
+        return robot
     names = sorted({*robot.links, *robot.held})
     pairs = {frozenset(pair) for pair in combinations(names, 2) if allowed.allows(*pair)}
-    if pairs and not robot.bodies:
-        _LOGGER.warning(
-            "allowed_collision_matrix is not used for pairs of links: the robot does not know the "
-            "links of its spheres"
-        )
-        return robot
     return replace(robot, touching=robot.touching | pairs)
 
 
@@ -48,7 +49,8 @@ def passed_through(
         allowed: of the scene.
         objects: their names.
     """
-    moving = {name for name, link in zip(robot.bodies, robot.model.link, strict=False) if link > 0}
+    links = robot.model.link if robot.bodies else ()
+    moving = {name for name, link in zip(robot.bodies, links, strict=True) if link > 0}
     free = set()
     for name in sorted(set(objects)):
         touching = sorted(other for other in moving if allowed.allows(name, other))
@@ -80,7 +82,7 @@ def warn_of_strangers(
             )
         return
     strange = sorted(permitting - {*robot.links, *robot.held, *objects})
-    if strange:
+    if strange and robot.bodies:
         _LOGGER.warning(
             "allowed_collision_matrix lets %s touch something, but there are no bodies of these "
             "names",

@@ -36,7 +36,9 @@ def is_asked(problem: Problem) -> bool:
     return any(isinstance(each, Passing | ToolPassing) for each in problem.constraints)
 
 
-def asked_postures(problem: Problem, count: int, rng: np.random.Generator) -> AskedPostures:
+def asked_postures(
+    problem: Problem, count: int, steps: int, rng: np.random.Generator
+) -> AskedPostures:
     """Return postures of all constraints of a problem, not checked for collisions.
 
     Places of joints are taken as they are, boxes of joints by even draws; places of the tool by
@@ -45,12 +47,13 @@ def asked_postures(problem: Problem, count: int, rng: np.random.Generator) -> As
     Args:
         problem: with one constraint at a phase.
         count: of postures that are sought for each.
+        steps: of the trajectory, of which there is at least one between two phases.
         rng: source of all randomness.
 
     Raises:
         UnreachableError: a place of the tool is out of reach, or not with its orientation.
         ValueError: what a search for paths does not keep: a velocity, an uncertain start, no goal,
-            several constraints of one phase, or one of another kind.
+            several constraints of one phase, or less than a step apart, or one of another kind.
     """
     start: FloatArray | None = None
     found: dict[float, FloatArray] = {}
@@ -91,6 +94,13 @@ def asked_postures(problem: Problem, count: int, rng: np.random.Generator) -> As
     if 1.0 not in found:
         raise ValueError("goal must be given for a search for paths, got none")
     phases = tuple(sorted(found))
+    at = [round(phase * steps) for phase in (0.0, *phases)]
+    for before, after, phase in zip(at, at[1:], phases, strict=True):
+        if after <= before:
+            raise ValueError(
+                f"phases must be at least {1.0 / steps:.3g} apart for a search for paths, from 0 "
+                f"to 1, got {', '.join(f'{each:g}' for each in phases)}, of which {phase:g} is not"
+            )
     return AskedPostures(start, phases, tuple(found[phase] for phase in phases))
 
 

@@ -1,8 +1,9 @@
 """`rrt_connect`: RRT-Connect in joint space, with shortcuts and smoothing. The sampling baseline.
 
 The choice of a user without demonstrations to keep to: they only give the postures in which a
-place is reached. Randomness comes from the problem's seed and budgets are counts, so a plan depends
-neither on the machine nor on what was planned before.
+place is reached, and where a problem asks for orientations of the tool or for places of joints, not
+even these (`asked_postures`). Randomness comes from the problem's seed and budgets are counts, so a
+plan depends neither on the machine nor on what was planned before.
 """
 
 from __future__ import annotations
@@ -410,7 +411,7 @@ def _plan(
         asked, layers = None, []
         if is_asked(problem):
             rng = np.random.default_rng([problem.seed, 1])
-            asked = asked_postures(problem, settings.postures, rng)
+            asked = asked_postures(problem, settings.postures, SAMPLES - 1, rng)
             start, goals = asked.start, asked.layers[-1]
         else:
             start = problem.start

@@ -2,6 +2,7 @@
 
 import json
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pybullet
@@ -192,6 +193,18 @@ def test_without_a_robot_the_matrix_is_told_not_to_be_used(load):
     assert line.endswith(f"(ball, {LINKS[0]})")
     _, said = load([], ["ball", LINKS[0]], robot=None)
     assert not said
+
+
+def test_a_robot_that_does_not_know_its_links_is_told_of(load, kuka):
+    """Such as those of files that were saved before spheres had names."""
+    nameless = replace(kuka, bodies=())
+    scene, said = load([["ball", link] for link in LINKS], robot=nameless)
+    assert scene.robot.touching == frozenset()
+    assert scene.names == ("ball", "shelf")
+    assert said == [
+        "allowed_collision_matrix is not used: the robot does not know the links of its spheres"
+    ]
+    assert not load(robot=nameless)[1]
 
 
 def test_wrong_matrices_name_the_file(kuka, tmp_path):

@@ -257,6 +257,11 @@ def test_what_a_search_does_not_keep_is_refused(arm, through):
         ({"start": Box(arm.start - 0.1, arm.start)}, "start must be one configuration"),
         ({"goal": None}, "goal must be given for a search for paths"),
         ({"via_points": [first, other]}, "must be the one constraint of phase 0.35"),
+        ({"via_points": [ViaPoint(0.001, arm.ready)]}, "at least 0.00503 apart .* 0.001 is not"),
+        (
+            {"via_points": [ViaPoint(0.5, arm.ready), ViaPoint(0.501, arm.start)]},
+            "got 0.5, 0.501, 1, of which 0.501 is not",
+        ),
         ({"start_velocity": arm.start}, "start_velocity must be None for the method"),
         ({"per_component": False}, "per_component must be True for the method"),
         ({"deadline": 1.0}, "deadline must be None for the method"),
