@@ -8,7 +8,6 @@ YAML needs PyYAML: ``pip install "smp-gym[motion-bench-maker]"``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -19,6 +18,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray, IntArray, shown
+from smp_gym.datasets.moveit_fields import (
+    as_list,
+    as_mapping,
+    as_number,
+    as_pose,
+    as_transform,
+    as_vector,
+    frame_in_header,
+    frame_name,
+    named_values,
+    stays,
+)
 from smp_gym.datasets.moveit_text import scene_message
 from smp_gym.geometry.pose import Pose
 from smp_gym.geometry.registry import REGISTRY
@@ -27,7 +38,6 @@ from smp_gym.scene import Obstacle
 from smp_gym.untrusted_files import parse_yaml, read_file
 
 __all__ = [
-    "WORLD",
     "OrientationGoal",
     "PoseGoal",
     "SceneBody",
@@ -36,14 +46,11 @@ __all__ = [
     "frames_of",
     "goals_of",
     "has_octomap",
-    "held_of",
     "joints_of",
+    "object_bodies",
     "path_constrained",
     "read_message",
 ]
-
-WORLD = "world"
-"""Frame of what names none."""
 
 _LARGEST_TEXT = 16 * 2**20
 """Bytes of a text file."""
@@ -52,12 +59,6 @@ _DIMENSIONS = {name: shape.dimensions for name, shape in REGISTRY.items()} | {"c
 _NUMBERS = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
 """Primitives of a MoveIt scene: how many dimensions each has; the numbers that
 ``shape_msgs/SolidPrimitive`` gives them."""
-
-_NORM_TOLERANCE = 0.01
-"""Largest deviation of an orientation's norm from 1: files have it rounded to three digits."""
-
-_MOVED = 1e-6
-"""m or rad by which the base of a robot may be moved and stand where it is."""
 
 _CONSTRAINTS = ("position", "orientation", "visibility")
 """Kinds of constraints that say nothing of joints."""
@@ -159,7 +160,7 @@ def read_message(path: str | PathLike[str]) -> Mapping[str, Any]:
             raise ValueError(f"it is no text: {error}") from error
         return scene_message(text)
     require("motion-bench-maker", "reading MoveIt's YAML files")
-    return _mapping(parse_yaml(read_file(file), "it"), "the file")
+    return as_mapping(parse_yaml(read_file(file), "it"), "the file")
 
 
 def bodies_of(message: Mapping[str, Any]) -> Iterator[SceneBody]:
@@ -168,10 +169,10 @@ def bodies_of(message: Mapping[str, Any]) -> Iterator[SceneBody]:
     Raises:
         ValueError: a field is wrong; the message names object, field and value.
     """
-    items = _list(_world(message).get("collision_objects"), "world.collision_objects")
+    items = as_list(_world(message).get("collision_objects"), "world.collision_objects")
     for number, entry in enumerate(items):
-        item = _mapping(entry, f"collision_objects[{number}]")
-        yield from _bodies(f"{item.get('id', number)!s}", item)
+        item = as_mapping(entry, f"collision_objects[{number}]")
+        yield from object_bodies(f"{item.get('id', number)!s}", item)
 
 
 def frames_of(message: Mapping[str, Any]) -> dict[str, tuple[str, Pose]]:
@@ -181,14 +182,14 @@ def frames_of(message: Mapping[str, Any]) -> dict[str, tuple[str, Pose]]:
         ValueError: a field is wrong, or a frame has two poses.
     """
     frames: dict[str, tuple[str, Pose]] = {}
-    entries = _list(message.get("fixed_frame_transforms"), "fixed_frame_transforms")
+    entries = as_list(message.get("fixed_frame_transforms"), "fixed_frame_transforms")
     for number, entry in enumerate(entries):
         where = f"fixed_frame_transforms[{number}]"
-        item = _mapping(entry, where)
-        child, parent = _frame(item.get("child_frame_id")), _header(item, where)
-        pose = _transform(item.get("transform"), f"{where}.transform")
+        item = as_mapping(entry, where)
+        child, parent = frame_name(item.get("child_frame_id")), frame_in_header(item, where)
+        pose = as_transform(item.get("transform"), f"{where}.transform")
         if child == parent:
-            if not _stays(pose):
+            if not stays(pose):
                 raise ValueError(f"{where} must not move the frame {child!r} in itself")
             continue
         if child in frames:
@@ -203,24 +204,11 @@ def joints_of(state: Any, where: str) -> dict[str, float]:
     Raises:
         ValueError: a field is wrong, or a joint stands there twice.
     """
-    state = _mapping(state or {}, where)
+    state = as_mapping(state or {}, where)
     where = f"{where}.joint_state"
-    entries = _mapping(state.get("joint_state") or {}, where)
-    pairs = _named(entries, "name", "position", "position", where)
-    return _joints([(name, _number(value, f"{where}.position")) for name, value in pairs], where)
-
-
-def _named(
-    entries: Mapping[str, Any], names: str, values: str, value: str, where: str
-) -> list[tuple[Any, Any]]:
-    """Return the pairs of two lists of a message: names, and a value (in words) for each."""
-    given = _list(entries.get(names), f"{where}.{names}")
-    found = _list(entries.get(values), f"{where}.{values}")
-    if len(given) != len(found):
-        raise ValueError(
-            f"{where} must have a {value} for each of its {len(given)} names, got {len(found)}"
-        )
-    return list(zip(given, found, strict=True))
+    entries = as_mapping(state.get("joint_state") or {}, where)
+    pairs = named_values(entries, "name", "position", "position", where)
+    return _joints([(name, as_number(value, f"{where}.position")) for name, value in pairs], where)
 
 
 def base_moved(state: Any, where: str) -> str | None:
@@ -229,30 +217,14 @@ def base_moved(state: Any, where: str) -> str | None:
     Raises:
         ValueError: a field is wrong.
     """
-    state = _mapping(state or {}, where)
+    state = as_mapping(state or {}, where)
     where = f"{where}.multi_dof_joint_state"
-    entries = _mapping(state.get("multi_dof_joint_state") or {}, where)
-    pairs = _named(entries, "joint_names", "transforms", "transform", where)
+    entries = as_mapping(state.get("multi_dof_joint_state") or {}, where)
+    pairs = named_values(entries, "joint_names", "transforms", "transform", where)
     for number, (name, entry) in enumerate(pairs):
-        if not _stays(_transform(entry, f"{where}.transforms[{number}]")):
+        if not stays(as_transform(entry, f"{where}.transforms[{number}]")):
             return str(name)
     return None
-
-
-def held_of(message: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of the objects that the robot of a scene holds.
-
-    Raises:
-        ValueError: a field is wrong.
-    """
-    where = "robot_state.attached_collision_objects"
-    state = _mapping(message.get("robot_state") or {}, "robot_state")
-    names = []
-    for number, entry in enumerate(_list(state.get("attached_collision_objects"), where)):
-        item = _mapping(entry, f"{where}[{number}]")
-        held = _mapping(item.get("object") or {}, f"{where}[{number}].object")
-        names.append(str(held.get("id", number)))
-    return tuple(names)
 
 
 def has_octomap(message: Mapping[str, Any]) -> bool:
@@ -271,9 +243,9 @@ def goals_of(message: Mapping[str, Any]) -> tuple[dict[str, float] | PoseGoal, .
         ValueError: a field is wrong, or a goal is neither one of joints alone nor one of a link.
     """
     goals: list[dict[str, float] | PoseGoal] = []
-    for number, entry in enumerate(_list(message.get("goal_constraints"), "goal_constraints")):
+    for number, entry in enumerate(as_list(message.get("goal_constraints"), "goal_constraints")):
         where = f"goal_constraints[{number}]"
-        item = _mapping(entry, where)
+        item = as_mapping(entry, where)
         kinds = [kind for kind in ("joint", *_CONSTRAINTS) if item.get(f"{kind}_constraints")]
         if "visibility" in kinds or ("joint" in kinds and len(kinds) > 1):
             raise ValueError(
@@ -285,9 +257,9 @@ def goals_of(message: Mapping[str, Any]) -> tuple[dict[str, float] | PoseGoal, .
             continue
         given = []
         where = f"{where}.joint_constraints"
-        for index, constraint in enumerate(_list(item.get("joint_constraints"), where)):
-            fields = _mapping(constraint, f"{where}[{index}]")
-            position = _number(fields.get("position"), f"{where}[{index}].position")
+        for index, constraint in enumerate(as_list(item.get("joint_constraints"), where)):
+            fields = as_mapping(constraint, f"{where}[{index}]")
+            position = as_number(fields.get("position"), f"{where}[{index}].position")
             given.append((fields.get("joint_name"), position))
         if not given:
             raise ValueError(f"{where} must hold at least one joint, got none")
@@ -306,8 +278,8 @@ def _pose_goal(item: Mapping[str, Any], where: str) -> PoseGoal:
     return PoseGoal(
         where=where,
         link=_link(position, place),
-        point=_vector(offset, "xyz", f"{place}.target_point_offset"),
-        frame=_header(position, place),
+        point=as_vector(offset, "xyz", f"{place}.target_point_offset"),
+        frame=frame_in_header(position, place),
         regions=tuple(_regions(position.get("constraint_region"), f"{place}.constraint_region")),
         orientation=(
             None
@@ -319,10 +291,10 @@ def _pose_goal(item: Mapping[str, Any], where: str) -> PoseGoal:
 
 def _only(item: Mapping[str, Any], field: str, where: str) -> Mapping[str, Any] | None:
     """Return the one constraint of a kind; None without."""
-    entries = _list(item.get(field), f"{where}.{field}")
+    entries = as_list(item.get(field), f"{where}.{field}")
     if len(entries) > 1:
         raise ValueError(f"{where}.{field} must hold one constraint, got {len(entries)}")
-    return _mapping(entries[0], f"{where}.{field}[0]") if entries else None
+    return as_mapping(entries[0], f"{where}.{field}[0]") if entries else None
 
 
 def _link(item: Mapping[str, Any], where: str) -> str:
@@ -334,10 +306,10 @@ def _link(item: Mapping[str, Any], where: str) -> str:
 
 def _regions(value: Any, where: str) -> Iterator[tuple[str, Pose, FloatArray]]:
     """Yield the regions of a ``moveit_msgs/BoundingVolume``, as of `PoseGoal`."""
-    volume = _mapping(value, where)
+    volume = as_mapping(value, where)
     if volume.get("meshes"):
         raise ValueError(f"{where} has meshes, but only boxes and spheres can be read")
-    primitives = _list(volume.get("primitives"), f"{where}.primitives")
+    primitives = as_list(volume.get("primitives"), f"{where}.primitives")
     if not primitives:
         raise ValueError(f"{where}.primitives must hold a box or a sphere, got none")
     poses = _poses(volume, "primitive", len(primitives), where)
@@ -351,7 +323,7 @@ def _regions(value: Any, where: str) -> Iterator[tuple[str, Pose, FloatArray]]:
 def _oriented(item: Mapping[str, Any], where: str) -> OrientationGoal:
     """Return what a ``moveit_msgs/OrientationConstraint`` asks for."""
     tolerances = [
-        _number(
+        as_number(
             item.get(f"absolute_{axis}_axis_tolerance"), f"{where}.absolute_{axis}_axis_tolerance"
         )
         for axis in "xyz"
@@ -365,8 +337,8 @@ def _oriented(item: Mapping[str, Any], where: str) -> OrientationGoal:
         raise ValueError(f"{where}.orientation must be given, got none")
     return OrientationGoal(
         link=_link(item, where),
-        frame=_header(item, where),
-        rotation=_pose({"orientation": item["orientation"]}, where).rotation,
+        frame=frame_in_header(item, where),
+        rotation=as_pose({"orientation": item["orientation"]}, where).rotation,
         tolerances=np.array(tolerances),
         euler=meaning == 0,
     )
@@ -377,8 +349,8 @@ def path_constrained(message: Mapping[str, Any]) -> bool:
     path = message.get("path_constraints") or {}
     trajectory = message.get("trajectory_constraints") or {}
     kinds = [f"{kind}_constraints" for kind in ("joint", *_CONSTRAINTS)]
-    constraints = _mapping(path, "path_constraints")
-    along = _mapping(trajectory, "trajectory_constraints")
+    constraints = as_mapping(path, "path_constraints")
+    along = as_mapping(trajectory, "trajectory_constraints")
     return any(constraints.get(kind) for kind in kinds) or bool(along.get("constraints"))
 
 
@@ -392,24 +364,29 @@ def _joints(pairs: Sequence[tuple[Any, float]], where: str) -> dict[str, float]:
 
 
 def _world(message: Mapping[str, Any]) -> Mapping[str, Any]:
-    return _mapping(message.get("world"), "world")
+    return as_mapping(message.get("world"), "world")
 
 
-def _bodies(name: str, item: Mapping[str, Any]) -> Iterator[SceneBody]:
+def object_bodies(name: str, item: Mapping[str, Any]) -> Iterator[SceneBody]:
+    """Yield the bodies of a ``moveit_msgs/CollisionObject`` in their order.
+
+    Raises:
+        ValueError: a field is wrong; the message names object, field and value.
+    """
     operation = str(item.get("operation", "add")).lower()
     if operation not in ("add", "append", "0", "2"):
         raise ValueError(f"{name}.operation must be 'add' or 'append', got {operation!r}")
-    frame, given = _header(item, name), item.get("pose")
-    own = _pose(given, f"{name}.pose") if given else Pose.identity()
-    primitives = _list(item.get("primitives"), f"{name}.primitives")
+    frame, given = frame_in_header(item, name), item.get("pose")
+    own = as_pose(given, f"{name}.pose") if given else Pose.identity()
+    primitives = as_list(item.get("primitives"), f"{name}.primitives")
     poses = _poses(item, "primitive", len(primitives), name)
     for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
         where = f"{name}.primitives[{index}]"
         kind, dimensions = _primitive(primitive, where)
         yield SceneBody(name, where, kind, frame, own.then(pose), dimensions)
     meshes = [
-        _mapping(mesh, f"{name}.meshes[{index}]")
-        for index, mesh in enumerate(_list(item.get("meshes"), f"{name}.meshes"))
+        as_mapping(mesh, f"{name}.meshes[{index}]")
+        for index, mesh in enumerate(as_list(item.get("meshes"), f"{name}.meshes"))
     ]
     # A mesh of another file has no place here, so that its pose does not matter.
     elsewhere = all(mesh.get("resource") for mesh in meshes)
@@ -420,38 +397,38 @@ def _bodies(name: str, item: Mapping[str, Any]) -> Iterator[SceneBody]:
         yield SceneBody(
             name, where, "mesh", frame, own.then(pose), vertices=vertices, triangles=triangles
         )
-    for index, _ in enumerate(_list(item.get("planes"), f"{name}.planes")):
+    for index, _ in enumerate(as_list(item.get("planes"), f"{name}.planes")):
         yield SceneBody(name, f"{name}.planes[{index}]", "plane", frame, own)
 
 
 def _poses(item: Mapping[str, Any], kind: str, count: int, name: str) -> list[Pose]:
     """Return the poses of an object's shapes of one kind; all its own, if it has one alone."""
     field, kinds = f"{kind}_poses", "meshes" if kind == "mesh" else f"{kind}s"
-    poses = _list(item.get(field), f"{name}.{field}")
+    poses = as_list(item.get(field), f"{name}.{field}")
     if not poses and item.get("pose"):
         poses = [{}] * count
     if len(poses) != count:
         raise ValueError(
             f"{name} must have a pose for each of its {count} {kinds}, got {len(poses)}"
         )
-    return [_pose(given, f"{name}.{field}[{index}]") for index, given in enumerate(poses)]
+    return [as_pose(given, f"{name}.{field}[{index}]") for index, given in enumerate(poses)]
 
 
 def _primitive(primitive: Any, where: str) -> tuple[str, tuple[float, ...]]:
     """Return shape and dimensions, m, of a ``shape_msgs/SolidPrimitive``."""
-    entries = _mapping(primitive, where)
+    entries = as_mapping(primitive, where)
     kind = entries.get("type")
     shape = _NUMBERS.get(kind, kind) if isinstance(kind, int) else kind
     shape = shape.lower() if isinstance(shape, str) else shape
     if shape not in _DIMENSIONS:
         raise ValueError(f"{where}.type must be one of {', '.join(_DIMENSIONS)}; got {kind!r}")
-    given = _list(entries.get("dimensions"), f"{where}.dimensions")
+    given = as_list(entries.get("dimensions"), f"{where}.dimensions")
     if len(given) != _DIMENSIONS[shape]:
         raise ValueError(
             f"{where}.dimensions of a {shape} must be {_DIMENSIONS[shape]} numbers, got "
             f"{list(given)}"
         )
-    dimensions = [_number(entry, f"{where}.dimensions") for entry in given]
+    dimensions = [as_number(entry, f"{where}.dimensions") for entry in given]
     if min(dimensions) <= 0.0:
         raise ValueError(f"{where}.dimensions must be positive, got {dimensions}")
     return shape, tuple(dimensions)
@@ -459,9 +436,9 @@ def _primitive(primitive: Any, where: str) -> tuple[str, tuple[float, ...]]:
 
 def _mesh(mesh: Mapping[str, Any], where: str) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3), m, and triangles (F, 3) of a ``shape_msgs/Mesh``."""
-    points = _list(mesh.get("vertices"), f"{where}.vertices")
-    vertices = [_vector(p, "xyz", f"{where}.vertices[{i}]") for i, p in enumerate(points)]
-    entries = _list(mesh.get("triangles"), f"{where}.triangles")
+    points = as_list(mesh.get("vertices"), f"{where}.vertices")
+    vertices = [as_vector(p, "xyz", f"{where}.vertices[{i}]") for i, p in enumerate(points)]
+    entries = as_list(mesh.get("triangles"), f"{where}.triangles")
     triangles = [
         _corners(t, len(vertices), f"{where}.triangles[{i}]") for i, t in enumerate(entries)
     ]
@@ -479,69 +456,3 @@ def _corners(triangle: Any, count: int, where: str) -> list[int]:
             f"{where} must be three of the {count} vertices by number, got {shown(triangle)}"
         )
     return corners
-
-
-def _header(item: Mapping[str, Any], where: str) -> str:
-    """Return the frame that the header of an object names."""
-    return _frame(_mapping(item.get("header") or {}, f"{where}.header").get("frame_id"))
-
-
-def _frame(name: Any) -> str:
-    return str(WORLD if name is None else name).lstrip("/") or WORLD
-
-
-def _stays(pose: Pose) -> bool:
-    """Return whether a pose moves nothing."""
-    return bool(np.abs(pose.position).max() <= _MOVED and pose.rotation.magnitude() <= _MOVED)
-
-
-def _transform(value: Any, where: str) -> Pose:
-    return _pose(value, where, "translation", "rotation")
-
-
-def _pose(value: Any, where: str, shift: str = "position", turn: str = "orientation") -> Pose:
-    entries = _mapping(value, where)
-    position = _vector(entries.get(shift, (0.0, 0.0, 0.0)), "xyz", f"{where}.{shift}")
-    given = entries.get(turn, (0.0, 0.0, 0.0, 1.0))
-    quaternion = _vector(given, "xyzw", f"{where}.{turn}")
-    norm = float(np.linalg.norm(quaternion))
-    if abs(norm - 1.0) > _NORM_TOLERANCE:
-        raise ValueError(f"{where}.{turn} must have norm 1, got {given!r} with norm {norm:.4g}")
-    return Pose(Rotation.from_quat(quaternion), position)
-
-
-def _mapping(value: Any, where: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{where} must be a mapping, got {value!r:.60}")
-    return value
-
-
-def _list(value: Any, where: str) -> Sequence[Any]:
-    if value is None:
-        return ()
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ValueError(f"{where} must be a list, got {value!r:.60}")
-    return value
-
-
-def _number(value: Any, where: str) -> float:
-    # PyYAML takes 1e-05 for a text: YAML 1.1 wants a point in it.
-    try:
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise ValueError(f"{where} must hold finite numbers, got {shown(value)}")
-    return number
-
-
-def _vector(value: Any, names: str, where: str) -> FloatArray:
-    """Return a vector that is written as a list, or as a mapping of these names."""
-    if isinstance(value, Mapping) and set(names) <= set(value):
-        value = [value[name] for name in names]
-    entries = _list(value, where)
-    if len(entries) != len(names):
-        raise ValueError(
-            f"{where} must be [{', '.join(names)}] or a mapping of these, got {value!r:.60}"
-        )
-    return np.array([_number(entry, where) for entry in entries])

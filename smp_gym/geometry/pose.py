@@ -43,6 +43,11 @@ class Pose:
         """Return the composition of this pose with `inner`, which is given in its frame."""
         return Pose(self.rotation * inner.rotation, self.of(inner.position))
 
+    def inverse(self) -> Pose:
+        """Return the transform that undoes this one."""
+        turn = self.rotation.inv()
+        return Pose(turn, -turn.apply(self.position))
+
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
         """The turn as x, y, z, w of norm 1."""

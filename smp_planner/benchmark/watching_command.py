@@ -13,7 +13,8 @@ from smp_planner.benchmark.cell_options import fail
 from smp_planner.benchmark.one_episode import plays_one_episode
 
 if TYPE_CHECKING:
-    from smp_gym.rollout import Policy
+    from smp_gym.arrays import FloatArray
+    from smp_gym.rollout import Moment, Policy
     from smp_planner.benchmark.episodes import EpisodeKey, PlayMethods
     from smp_planner.benchmark.manifest import Manifest
     from smp_planner.planning.viewer import Exhibit
@@ -52,10 +53,10 @@ def exhibit_of_episode(player: PlayMethods, key: EpisodeKey, history: int | None
     policy = player.policy(key)
     if history is not None:
         _check_history(policy, key.method, history)
-    recorder = FieldRecorder("configuration")
+    recorder, seen = FieldRecorder("configuration"), _SeenPoints(key.task)
     env = gymnasium.make(environment_id(key.task), **key.cell.make_arguments())
     try:
-        played = play_episode(key, env, policy, (recorder,), player.lists)
+        played = play_episode(key, env, policy, (recorder, seen), player.lists)
     finally:
         env.close()
     scene, plan, row = played.scene, played.plan, played.row
@@ -67,6 +68,7 @@ def exhibit_of_episode(player: PlayMethods, key: EpisodeKey, history: int | None
             {"executed": Lines([object_paths(recorder.values, point)], EXECUTED, 5.0)},
             scene.obstacles,
             goals,
+            clouds=seen.clouds,
             motions={"executed": motion_of(jaco_model(), recorder.values)},
             meshes=jaco_meshes(scene.manipulated is None),
         )
@@ -82,6 +84,26 @@ def exhibit_of_episode(player: PlayMethods, key: EpisodeKey, history: int | None
         goals=goals,
         motions={name: exhibit.motions[name] for name in ("executed", "chosen particle")},
     )
+
+
+class _SeenPoints:
+    """Records the point cloud of the first observation, if it has one.
+
+    Args:
+        task: of the environment.
+    """
+
+    def __init__(self, task: str) -> None:
+        self._task = task
+        self.clouds: list[FloatArray] = []
+
+    def __call__(self, moment: Moment) -> None:
+        """Take the points (N, 3) m from the first observation."""
+        from smp_gym.observation import decode
+
+        if moment.step == 0:
+            points = decode(moment.observation, self._task).points
+            self.clouds = [] if points is None else [points]
 
 
 def _check_history(policy: Policy, method: str, history: int) -> None:
@@ -118,8 +140,9 @@ def watch(
 
     Needs viser, which the extra viewer brings.
 
-    Shown are obstacles, demonstrations, particles by homotopy class, the executed trajectory beside
-    the planned one, and the arm, moved by a slider.
+    Shown are obstacles, points that a depth camera sees (--sensing depth), demonstrations,
+    particles by homotopy class, the executed trajectory beside the planned one, and the arm, moved
+    by a slider.
 
     Example: [green]smp-bench watch --method smp --seed 7 --history 10[/green]
     """

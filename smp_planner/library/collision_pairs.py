@@ -33,10 +33,11 @@ _CONFIGURATIONS = 50
 def with_collision_pairs(robot: Robot, demonstrations: Sequence[FloatArray]) -> RobotModel:
     """Return the model of a robot with the pairs of its spheres that must stay clear of each other.
 
-    Those of links that are not neighbours and may not touch, unless they come nearer than
-    `PAIR_GAP` in a demonstration: spheres reach beyond what they cover, and demonstrations are
-    free. Links of which spheres overlap in a demonstration but not in most postures are logged as a
-    warning: there the robot may have touched itself.
+    Those of links that are not neighbours and may not touch, and of what the robot holds with all
+    links that move against it, unless they come nearer than `PAIR_GAP` in a demonstration: spheres
+    reach beyond what they cover, and demonstrations are free. Links of which spheres overlap in a
+    demonstration but not in most postures are logged as a warning: there the robot may have touched
+    itself.
 
     Args:
         robot: whose model's `collision_pairs` are replaced.
@@ -50,9 +51,10 @@ def with_collision_pairs(robot: Robot, demonstrations: Sequence[FloatArray]) -> 
     number = number[measured]
     centers = model.sphere_centers(torch.from_numpy(configurations[measured])).numpy()
     link, radius = model.link, model.radius
+    held = np.array([name in robot.held for name in robot.bodies] or [False] * len(link), np.bool_)
     pairs, overlapping = [], []
     for first in range(len(link)):
-        apart = link > link[first] + 1
+        apart = link > link[first] + np.where(held, 0, 1)
         others = np.flatnonzero(apart & ~allowed[first])
         distance = np.linalg.norm(centers[:, others] - centers[:, first : first + 1], axis=-1)
         gap = distance - radius[others] - radius[first]

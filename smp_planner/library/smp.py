@@ -47,6 +47,7 @@ from smp_planner.library.signals import Recorded
 from smp_planner.library.storing import read_primitive, write_primitive
 from smp_planner.library.urdf import Robot
 from smp_planner.movement_primitives import ProMP, ProMPMixture
+from smp_planner.planners.rrt_connect.planner import RRTConnectSettings, rrt_connect_plan
 from smp_planner.planning.constraints import Exactly
 from smp_planner.planning.pipeline import checked_deadline, checked_history, plan_problems
 from smp_planner.planning.plan import Plan
@@ -241,7 +242,7 @@ class SMP:
         radius: float = 0.0,
         particles: int = 42,
         seed: int = 0,
-        method: str | Adaptation = "smp",
+        method: str | Adaptation | RRTConnectSettings = "smp",
         per_component: bool = True,
         settings: AdaptSettings | None = None,
         deadline: float | None = None,
@@ -270,7 +271,10 @@ class SMP:
             particles: how many, P.
             seed: of all randomness; the same call gives the same plan.
             method: one of `smp_planner.adaptation.ADAPTATIONS`, by name or as such; "promp" only
-                conditions the primitive.
+                conditions the primitive. Of a robot also "rrt_connect" or its
+                `RRTConnectSettings`: paths that are searched from `start` to `goal` through all
+                via-points, whatever was demonstrated, with postures of the tool's places from
+                random starts.
             per_component: whether each mode of the demonstrations is adapted on its own; if not,
                 one Gaussian stands for all of them, as the paper's baselines have it.
             settings: map and costs. For a robot, a `duration_limit` that is not given is twice the
@@ -293,7 +297,10 @@ class SMP:
         settings = AdaptSettings() if settings is None else settings
         if not isinstance(settings, PlanSettings):
             raise ValueError(f"settings must be AdaptSettings, got {shown(settings)}")
-        how = _adaptation(method)
+        search = _search(method)
+        if search is not None:
+            self._refuse_of_search(start_velocity, per_component, deadline, history)
+        how = _adaptation("promp" if search is not None else method)
         deadline, history = checked_deadline(deadline, how), checked_history(history, how)
         particles = checked_count("particles", particles, most=MOST_PARTICLES)
         update = {"particles": particles, "duration_limit": self._duration_limit(settings)}
@@ -307,16 +314,20 @@ class SMP:
         if start_velocity is not None:
             moving = self._moving_at_the_start(start_velocity, settings)
             constraints = tuple(sorted((*constraints, moving), key=lambda c: c.phases[0]))
-        with one_thread():
-            refuse_overdetermined(
-                self.prior.single, constraints, [self.frame.inwards(d) for d in self.demonstrations]
-            )
+        if search is None:
+            with one_thread():
+                shown_paths = [self.frame.inwards(d) for d in self.demonstrations]
+                refuse_overdetermined(self.prior.single, constraints, shown_paths)
         reading = time.perf_counter()
         with one_thread():
             scene = Scene(self.frame, self.robot, obstacles, radius)
             scene.refuse_blocked(constraints, settings, self.demonstrations)
             problem = scene.problem(constraints, settings, seed, self.demonstrations)
         reading = time.perf_counter() - reading
+        if search is not None:
+            plan = rrt_connect_plan(problem, search, settings)
+            _warn_of_duration(plan, settings.duration_limit)
+            return self._outwards(plan, obstacles, reading)
         prior = self.prior
         if not per_component:
             single = prior.settings.model_copy(update={"per_component": False})
@@ -328,6 +339,27 @@ class SMP:
         if self.robot is not None:
             _warn_of_duration(plan, settings.duration_limit)
         return self._outwards(plan, obstacles, reading)
+
+    def _refuse_of_search(
+        self,
+        start_velocity: ArrayLike | None,
+        per_component: bool,
+        deadline: float | None,
+        history: int | None,
+    ) -> None:
+        """Raise a ValueError for what a search for paths does not do."""
+        if self.robot is None:
+            raise ValueError("method 'rrt_connect' needs a primitive of a robot, got one of paths")
+        for name, given, allowed in (
+            ("start_velocity", start_velocity, None),
+            ("per_component", per_component, True),
+            ("deadline", deadline, None),
+            ("history", history, None),
+        ):
+            if given is not allowed:
+                raise ValueError(
+                    f"{name} must be {allowed} for the method 'rrt_connect', got {shown(given)}"
+                )
 
     def _moving_at_the_start(self, velocity: ArrayLike, settings: PlanSettings) -> Exactly:
         """Return the constraint that a path begins with a velocity."""
@@ -422,7 +454,14 @@ def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:
     return Frame((lower + upper) / 2, scale)
 
 
-def _adaptation(method: str | Adaptation) -> Adaptation:
+def _search(method: Any) -> RRTConnectSettings | None:
+    """Return the settings of a search for paths; None for an adaptation of the primitive."""
+    if isinstance(method, str) and method == "rrt_connect":
+        return RRTConnectSettings()
+    return method if isinstance(method, RRTConnectSettings) else None
+
+
+def _adaptation(method: Any) -> Adaptation:
     if isinstance(method, Adaptation):
         return method
     if not isinstance(method, str):

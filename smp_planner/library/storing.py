@@ -56,6 +56,7 @@ def write_primitive(
         arrays["continuous"] = np.array(robot.continuous)
         arrays["standing"] = np.array(json.dumps(dict(robot.standing)))
         arrays["bodies"] = np.array(json.dumps(robot.bodies))
+        arrays["held"] = np.array(json.dumps(robot.held))
         pairs = sorted([min(pair), max(pair)] for pair in robot.touching)
         arrays["touching"] = np.array(json.dumps(pairs))
         for field in _LINKS:
@@ -102,6 +103,7 @@ def read_primitive(
                 base_links=_poses(arrays, "base_links"),
                 tip_links=_poses(arrays, "tip_links"),
                 bodies=tuple(str(name) for name in _listed(arrays, "bodies")),
+                held=tuple(str(name) for name in _listed(arrays, "held")),
                 touching=frozenset(
                     frozenset(map(str, pair)) for pair in _listed(arrays, "touching")
                 ),

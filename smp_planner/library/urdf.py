@@ -51,7 +51,8 @@ class Robot:
         tip_links: (4, 4) poses in the tip's frame of all links that move as the tip does, it among
             them, by name.
         bodies: (S) names of the links that its spheres cover; none where that is not known.
-        touching: pairs of names of links that may touch.
+        touching: pairs of names of links, or of bodies that it holds, that may touch.
+        held: names of the bodies that it holds, which `bodies` has, too.
     """
 
     model: RobotModel
@@ -63,6 +64,7 @@ class Robot:
     tip_links: Mapping[str, FloatArray] = field(default_factory=dict)
     bodies: tuple[str, ...] = ()
     touching: frozenset[LinkPair] = frozenset()
+    held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "continuous", self.continuous or (False,) * len(self.joints))
@@ -147,22 +149,39 @@ class Robot:
         """Number of joints n."""
         return len(self.joints)
 
-    def holding(self, bodies: Iterable[Obstacle] | Obstacle, *, overshoot: float = 0.01) -> Robot:
+    @property
+    def links(self) -> frozenset[str]:
+        """Names of the links that are known: all but those without spheres between base and tip."""
+        return frozenset({*self.bodies, *self.base_links, *self.tip_links} - set(self.held))
+
+    def holding(
+        self,
+        bodies: Iterable[Obstacle] | Obstacle,
+        *,
+        overshoot: float = 0.01,
+        name: str = "what it holds",
+        touching: Iterable[str] = (),
+    ) -> Robot:
         """Return the robot with bodies in its tool, which collide as its links do.
 
-        They stay clear of obstacles, and of all links but that of the tool and the one before it.
-        Primitives of the robot are learned anew, from the same demonstrations.
+        They stay clear of obstacles, and of all links that move against the tool unless these may
+        touch them or come near them in a demonstration (`PAIR_GAP`). Primitives of the robot are
+        learned anew, from the same demonstrations.
 
         Args:
             bodies: at least one, standing still; their positions and quaternions are in the tip's
                 frame.
             overshoot: m, by which spheres stand out of a body at most.
+            name: of the bodies together, for warnings and `touching`; one that the robot does not
+                have yet.
+            touching: names of links that may touch them.
 
         Raises:
-            ValueError: not such bodies, one too large for the overshoot, or more than
+            ValueError: not such bodies or names, one too large for the overshoot, or more than
                 `covering.MOST_SPHERES` spheres.
         """
         overshoot = checked_number("overshoot", overshoot, above=0.0)
+        allowed = self._touching_held(name, touching)
         given = (bodies,) if isinstance(bodies, Obstacle) else tuple(bodies)
         for index, body in enumerate(given):
             if not isinstance(body, Obstacle) or any(body.velocity):
@@ -187,8 +206,34 @@ class Robot:
         )
         none = np.empty((0, 2), np.int64)
         model = replace(self.model, spheres=spheres, collision_pairs=none)
-        names = self.bodies and (*self.bodies, *(["what it holds"] * len(balls)))
-        return replace(self, model=model, bodies=names)
+        names = self.bodies and (*self.bodies, *([name] * len(balls)))
+        return replace(
+            self,
+            model=model,
+            bodies=names,
+            touching=self.touching | allowed,
+            held=(*self.held, name),
+        )
+
+    def _touching_held(self, name: Any, touching: Any) -> frozenset[LinkPair]:
+        """Return the pairs of what is held with the links that may touch it."""
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"name must be a text, got {shown(name)}")
+        if name in self.links or name in self.held:
+            raise ValueError(
+                f"name must be none of the robot's links, nor of what it holds, got {name!r}"
+            )
+        if isinstance(touching, str) or not isinstance(touching, Iterable):
+            raise ValueError(f"touching must be names of links, got {shown(touching)}")
+        given = tuple(touching)
+        if given and not self.bodies:
+            raise ValueError("touching needs a robot that knows the links of its spheres (bodies)")
+        for other in given:
+            if not isinstance(other, str) or other not in self.links:
+                raise ValueError(
+                    f"touching must be names of links of the robot, got {shown(other)}"
+                )
+        return frozenset(frozenset((name, other)) for other in given)
 
     def may_touch(self) -> BoolArray:
         """Return a mask (S, S) of pairs of spheres whose links are `touching`."""

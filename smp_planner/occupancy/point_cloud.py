@@ -42,10 +42,12 @@ class CloudMap:
         map: the distance; None if no point of the cloud is where the body can be.
         bounds: corners of the box that paths must stay in, because points of the cloud outside of
             it were not mapped; None if there are none.
+        seen: (N, 3) points of the cloud, for pictures; None where they are not kept.
     """
 
     map: GridMap | None
     bounds: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    seen: FloatArray | None = None
 
     @property
     def grid(self) -> DistanceGrid | None:

@@ -20,7 +20,7 @@ from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 from smp_planner.planning.tool_orientations import inner_angle
 
-__all__ = ["posture_information", "postures_at"]
+__all__ = ["drawn_postures", "posture_information", "postures_at"]
 
 MOST_POSTURES = 4
 """Postures of one constraint that a primitive is conditioned on; less likely ones are left out."""
@@ -106,6 +106,48 @@ def postures_at(
     # What touches itself is left out, unless nothing else is left.
     clear = [entry for entry in found if not entry[0]] or found
     return [(number, posture) for *_, number, posture in clear[:MOST_POSTURES]]
+
+
+def drawn_postures(
+    name: str,
+    places: Sequence[GoalRegion | ToolViaPoint],
+    robot: RobotModel,
+    near: FloatArray,
+    count: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return postures that have one of several places with its orientation, from random starts.
+
+    Damped least squares over all joints, from configurations drawn evenly within the limits, into
+    the inner half of what is asked. The places take turns. What does not get there is left out.
+
+    Args:
+        name: what the user calls the constraint, for the message.
+        places: at least one.
+        robot: the arm.
+        near: (n,) rad; endless joints are turned to be within half a turn of it.
+        count: of starts.
+        rng: source of all randomness.
+
+    Returns:
+        (G, n) rad, G from 1 to `count`, within the limits, in the order of the starts; the tool has
+        place and orientation up to 1e-3 m and rad. They are not checked for collisions.
+
+    Raises:
+        UnreachableError: no place is reached; see `postures_at`.
+    """
+    lower = np.where(robot.endless, np.maximum(robot.lower, near - np.pi), robot.lower)
+    upper = np.where(robot.endless, np.minimum(robot.upper, near + np.pi), robot.upper)
+    starts = rng.uniform(lower, upper, (count, robot.joints))
+    q, reached = starts.copy(), np.zeros(count, np.bool_)
+    of_place = np.arange(count) % len(places)
+    for number, place in enumerate(places[:count]):
+        mine = of_place == number
+        q[mine] = _nearest_turns(_approached(starts[mine], place, robot), near, robot)
+        reached[mine] = _violation(q[mine], place, robot) <= _REACHED
+    if not reached.any():
+        raise UnreachableError(_what_binds(name, starts, places, robot))
+    return q[reached]
 
 
 def posture_information(

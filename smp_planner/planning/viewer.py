@@ -2,9 +2,9 @@
 
     page = show(exhibit_of(plan), port=8080)
 
-Shown are obstacles, demonstrations, the particles in the colours of their homotopy classes, on a
-slider those on their way (`Plan.history`), and the robot by its links or as the spheres that the
-planner checks, moved by another slider along one of several trajectories.
+Shown are obstacles, points of clouds, demonstrations, the particles in the colours of their
+homotopy classes, on a slider those on their way (`Plan.history`), and the robot by its links or as
+the spheres that the planner checks, moved by another slider along one of several trajectories.
 The page is served by viser (extra ``viewer``), to this machine alone unless another host is named.
 """
 
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import FloatArray, checked_array
@@ -42,9 +43,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Exhibit", "Lines", "Motion", "Page", "exhibit_of", "motion_of", "show"]
 
-_ROBOT, _GOAL = "#7f8c9b", "#c9a227"
+_ROBOT, _GOAL, _CLOUD = "#7f8c9b", "#c9a227", "#7b2d8b"
 _STEPS = 200
 """Most places of the slider."""
+
+_SINGLE_POINT = 0.01
+"""Size of a point that has no neighbour, m."""
 
 _SETTLED = "After the last iteration."
 
@@ -91,7 +95,7 @@ class Exhibit:
         lines: by label.
         obstacles: bodies.
         goals: bodies in another colour.
-        clouds: points (N, 3) m each.
+        clouds: points (N, 3) m each; those without points are left out.
         motions: by name; the first is shown when the page opens.
         meshes: of the links that `Motion.poses` are of, shown in place of the spheres.
         on_the_way: particles before an iteration, lines by label, by the number of iterations
@@ -164,7 +168,9 @@ class _Surroundings:
         model = problem.body.model if isinstance(problem.body, RobotBody) else None
         solid = dict.fromkeys(body for stage in problem.stages for body in stage.obstacles)
         goals = [body for body in solid if body not in problem.movable and body != TABLE]
-        return cls(model, problem.movable, goals)
+        maps = {id(stage.cloud): stage.cloud for stage in problem.stages if stage.cloud is not None}
+        clouds = [known.seen for known in maps.values() if known.seen is not None]
+        return cls(model, problem.movable, goals, clouds)
 
 
 def motion_of(model: RobotModel, trajectory: FloatArray) -> Motion:
@@ -269,9 +275,18 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
             nodes[name] = scene.add_mesh_simple(
                 name, vertices, faces, color=_rgb(color), opacity=0.6, side="double"
             )
-    for number, points in enumerate(exhibit.clouds):
+    for number, points in enumerate(each for each in exhibit.clouds if len(each)):
         name = f"clouds/{number}"
-        nodes[name] = scene.add_point_cloud(name, points, _rgb(OBSTACLE), point_size=0.005)
+        nodes[name] = scene.add_point_cloud(
+            name,
+            points.astype(np.float32),
+            _rgb(_CLOUD),
+            point_size=_point_size(points),
+            precision="float32",
+            point_shape="circle",
+        )
+        label = f"points: {len(points)}" if number == 0 else f"points: {len(points)} ({number + 1})"
+        controls[label] = _shows(server, label, [nodes[name]], True)
     _look_at(server, [path for lines in exhibit.lines.values() for path in lines.paths])
     server.gui.add_markdown(exhibit.title)
     for label, lines in exhibit.lines.items():
@@ -284,6 +299,18 @@ def show(exhibit: Exhibit, *, host: str = "127.0.0.1", port: int = 8080) -> Page
     if exhibit.motions:
         _add_robot(server, exhibit, nodes, controls)
     return Page(server, nodes, controls)
+
+
+def _point_size(points: FloatArray) -> float:
+    """Return a size, in the unit of points (N, 3), with which these cover about half of a surface.
+
+    It is half of what lies between neighbours, and from 0.2 % to 2 % of the cloud's extent.
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    if extent == 0.0:
+        return _SINGLE_POINT
+    gap = float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+    return float(np.clip(0.5 * gap, 0.002 * extent, 0.02 * extent))
 
 
 def _look_at(server: ViserServer, paths: Sequence[FloatArray]) -> None:

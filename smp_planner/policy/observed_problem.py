@@ -93,7 +93,8 @@ def seen_map(decoded: DecodedObservation, attached: SphereSet) -> CloudMap | Non
     placed = sphere_centers(decoded.robot.configuration, arm)
     apart = np.linalg.norm(solid[:, None] - placed, axis=-1) - arm.radius
     solid = solid[(apart > _ARM_MARGIN).all(axis=1)]
-    return CloudMap(closed_surface(solid, _INFLATION) if len(solid) else None)
+    surface = closed_surface(solid, _INFLATION) if len(solid) else None
+    return CloudMap(surface, seen=decoded.points)
 
 
 def _grasping_problem(decoded: DecodedObservation, seed: int, grasping: Grasping) -> Problem:

@@ -1,8 +1,9 @@
 """`rrt_connect`: RRT-Connect in joint space, with shortcuts and smoothing. The sampling baseline.
 
 The choice of a user without demonstrations to keep to: they only give the postures in which a
-place is reached. Randomness comes from the problem's seed and budgets are counts, so a plan depends
-neither on the machine nor on what was planned before.
+place is reached, and where a problem asks for orientations of the tool or for places of joints, not
+even these (`asked_postures`). Randomness comes from the problem's seed and budgets are counts, so a
+plan depends neither on the machine nor on what was planned before.
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, invers
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE, minimum_duration
+from smp_planner.planners.rrt_connect.asked_postures import (
+    AskedPostures,
+    asked_postures,
+    is_asked,
+)
 from smp_planner.planners.rrt_connect.layered_search import PathSearch, path_through
 from smp_planner.planners.rrt_connect.shortcutting import (
     path_length,
@@ -41,7 +47,13 @@ from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.tool_constraints import ToolPath
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
-__all__ = ["RRTConnectPlanner", "RRTConnectSettings", "SearchPlanner", "SearchSettings"]
+__all__ = [
+    "RRTConnectPlanner",
+    "RRTConnectSettings",
+    "SearchPlanner",
+    "SearchSettings",
+    "rrt_connect_plan",
+]
 
 _CONTROL_POINTS = (7, 10, 14, 20, 28, 40, 56, 80)
 """Control points of the splines that are tried, from smooth to true to the path."""
@@ -231,6 +243,31 @@ class _Search:
         path = np.concatenate([start[None], *(piece[1:] for piece in pieces)])
         return _timed(path, SAMPLES, checker, s.duration_limit, self.passes)
 
+    def in_time(self, asked: AskedPostures, rng: np.random.Generator) -> FloatArray | None:
+        """Return a trajectory (T,n) rad with a configuration of each layer at its phase, or None.
+
+        It stands still at each, so that the phase in which one is passed is that asked for.
+        """
+        s, start = self.settings, asked.start
+        checker = self.checker([start[None], *asked.layers])
+        halves = [
+            layer[rng.permutation(len(layer))[: (len(layer) + 1) // 2]] for layer in asked.layers
+        ]
+        found = path_through(start, halves, checker, rng, self.join)
+        if found is None:
+            return None
+        first, trajectory = 0.0, [start[None]]
+        for path, last in zip(found, asked.phases, strict=True):
+            samples = round(last * (SAMPLES - 1)) - round(first * (SAMPLES - 1)) + 1
+            short = shortcut(path, checker, s.shortcuts, rng)
+            if len(short) > samples:
+                # There are fewer moments between the two phases than the path has corners.
+                return None
+            seconds = s.duration_limit * (last - first)
+            trajectory.append(_timed(short, samples, checker, seconds)[1:])
+            first = last
+        return np.concatenate(trajectory)
+
     def branches(self, rng: np.random.Generator) -> Iterator[FloatArray]:
         """Yield configurations (H,6) rad at the via-poses, free from one to the next.
 
@@ -338,55 +375,121 @@ class SearchPlanner:
 
         Raises:
             UnreachableError: a goal is out of reach.
+            ValueError: a constraint that a search for paths does not keep.
         """
-        return [self._plan(problem) for problem in problems]
+        return [
+            _plan(
+                problem, self._demonstrated, self._settings, self._join, self._budget, self._counted
+            )
+            for problem in problems
+        ]
 
-    def _plan(self, problem: Problem) -> Plan:
-        stopwatch, settings = Stopwatch(), self._settings
-        with stopwatch.stage("goals"):
-            search = _Search(problem, self._demonstrated, settings, self._join)
-            goals = search.goals(problem.start)
+
+def _plan(
+    problem: Problem,
+    demonstrated: FloatArray,
+    settings: SearchSettings,
+    join: PathSearch,
+    budget: str,
+    counted: list[int] | None,
+    checks: PlanSettings | None = None,
+) -> Plan:
+    """Return the plan of a problem; arguments as of `SearchPlanner`.
+
+    Args:
+        problem: to be solved.
+        demonstrated: (N,T,n) rad.
+        settings: budgets.
+        join: searches for a path.
+        budget: of a search, in words.
+        counted: to which `join` adds its iterations.
+        checks: settings of the checks; by default those of the environments' tasks.
+    """
+    stopwatch = Stopwatch()
+    with stopwatch.stage("goals"):
+        search = _Search(problem, demonstrated, settings, join)
+        asked, layers = None, []
+        if is_asked(problem):
+            rng = np.random.default_rng([problem.seed, 1])
+            asked = asked_postures(problem, settings.postures, SAMPLES - 1, rng)
+            start, goals = asked.start, asked.layers[-1]
+        else:
+            start = problem.start
+            goals = search.goals(start)
             if not len(goals):
                 named = ", ".join(f"{np.round(goal.center, 3)}" for goal in problem.goals)
                 raise UnreachableError(
                     f"goal {named} is out of reach from each of {settings.postures} configurations"
                 )
             layers = search.layers() if problem.via_points else []
-        with stopwatch.stage("search"):
-            found, iterations = [], []
-            for index in range(settings.particles):
-                if self._counted is not None:
-                    self._counted.clear()
-                rng = np.random.default_rng([problem.seed, 2, index])
-                if problem.via_poses:
-                    found.append(search.by_poses(rng))
-                elif problem.via_points:
-                    found.append(search.through(layers, rng))
-                else:
-                    found.append(search.direct(goals, rng))
-                if self._counted is not None:
-                    iterations.append(sum(self._counted))
-        with stopwatch.stage("verification"):
-            # Where no path was found a straight one stands, so that the set has its size.
-            ends = np.stack([problem.start, goals[0]])
-            straight = stop_at_corners(ends, problem.robot.velocity, SAMPLES)
-            trajectories = np.stack([straight if path is None else path for path in found])
-            free = search.checker([problem.start[None], goals]).configurations_free(goals)
-            costs = {"length": np.array([path_length(path) for path in trajectories])}
-            if self._counted is not None:
-                costs["iterations"] = np.array(iterations, np.float64)
-            plan = make_plan(
-                problem,
-                trajectories,
-                costs,
-                PlanSettings(particles=len(found), duration_limit=settings.duration_limit),
-                reason=(
-                    f"{sum(path is not None for path in found)} of {settings.particles} searches "
-                    f"succeeded within {self._budget}, {int(free.sum())} of "
-                    f"{settings.postures} configurations at the goal are free"
-                ),
-            )
-        return plan.changed(timings=stopwatch.timings)
+    with stopwatch.stage("search"):
+        found, iterations = [], []
+        for index in range(settings.particles):
+            if counted is not None:
+                counted.clear()
+            rng = np.random.default_rng([problem.seed, 2, index])
+            if asked is not None:
+                found.append(search.in_time(asked, rng))
+            elif problem.via_poses:
+                found.append(search.by_poses(rng))
+            elif problem.via_points:
+                found.append(search.through(layers, rng))
+            else:
+                found.append(search.direct(goals, rng))
+            if counted is not None:
+                iterations.append(sum(counted))
+    with stopwatch.stage("verification"):
+        # Where no path was found a straight one stands, so that the set has its size.
+        ends = np.stack([start, goals[0]])
+        straight = stop_at_corners(ends, problem.robot.velocity, SAMPLES)
+        trajectories = np.stack([straight if path is None else path for path in found])
+        checker = search.checker([start[None], goals])
+        free = int(checker.configurations_free(goals).sum())
+        reason = f"{sum(path is not None for path in found)} of {settings.particles} searches "
+        reason += f"succeeded within {budget}, "
+        if asked is None:
+            reason += f"{free} of {settings.postures} configurations at the goal are free"
+        else:
+            reason += f"{free} of {len(goals)} configurations at the goal are free"
+            for phase, layer in zip(asked.phases[:-1], asked.layers[:-1], strict=True):
+                count = int(checker.configurations_free(layer).sum())
+                reason += f" and {count} of {len(layer)} at phase {phase:g}"
+        costs = {"length": np.array([path_length(path) for path in trajectories])}
+        if counted is not None:
+            costs["iterations"] = np.array(iterations, np.float64)
+        plan = make_plan(
+            problem,
+            trajectories,
+            costs,
+            checks or PlanSettings(particles=len(found), duration_limit=settings.duration_limit),
+            reason=reason,
+        )
+    return plan.changed(timings=stopwatch.timings)
+
+
+def _counting(settings: RRTConnectSettings) -> tuple[PathSearch, str, list[int]]:
+    """Return RRT-Connect as a search, its budget in words, and where it counts iterations."""
+    counted: list[int] = []
+    join = partial(rrt_connect, iterations=settings.iterations, step=settings.step, counted=counted)
+    return join, f"{settings.iterations} iterations", counted
+
+
+def rrt_connect_plan(problem: Problem, settings: RRTConnectSettings, checks: PlanSettings) -> Plan:
+    """Return independent RRT-Connect solutions of a problem of any robot, without demonstrations.
+
+    Args:
+        problem: with a start that is certain, a goal, and one constraint at a phase.
+        settings: budgets; their particles and limit of duration are those of `checks`.
+        checks: settings of the checks that the trajectories pass.
+
+    Raises:
+        UnreachableError: a place of the tool is out of reach, or not with its orientation.
+        ValueError: a constraint that a search for paths does not keep.
+    """
+    own = {"particles": checks.particles, "duration_limit": checks.duration_limit}
+    settings = settings.model_copy(update=own)
+    none = np.empty((0, 0, problem.robot.joints))
+    return _plan(problem, none, settings, *_counting(settings), checks)
 
 
 class RRTConnectPlanner(SearchPlanner):
@@ -404,6 +507,4 @@ class RRTConnectPlanner(SearchPlanner):
 
     def __init__(self, demonstrations: Demonstrations, settings: Mapping[str, Any]) -> None:
         s = RRTConnectSettings.model_validate(dict(settings))
-        counted: list[int] = []
-        join = partial(rrt_connect, iterations=s.iterations, step=s.step, counted=counted)
-        super().__init__(demonstrations, s, join, f"{s.iterations} iterations", counted)
+        super().__init__(demonstrations, s, *_counting(s))

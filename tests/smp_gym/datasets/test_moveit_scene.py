@@ -10,7 +10,6 @@ from smp_gym.datasets.moveit_scene import (
     frames_of,
     goals_of,
     has_octomap,
-    held_of,
     joints_of,
     path_constrained,
     read_message,
@@ -297,15 +296,12 @@ def test_what_a_robot_holds_and_where_it_stands_is_told():
             "joint_names": ["virtual"],
             "transforms": [{"translation": [0, 0, 0.5], "rotation": [0, 0, 0, 1]}],
         },
-        "attached_collision_objects": [{"link_name": "hand", "object": {"id": "cup"}}],
     }
     assert joints_of(state, "s") == {"b": 1.0, "a": 0.2}
     assert base_moved(state, "s") == "virtual"
     state["multi_dof_joint_state"]["transforms"][0]["translation"] = [0, 0, 0]
     assert base_moved(state, "s") is None
-    assert held_of({"robot_state": state}) == ("cup",)
     assert joints_of(None, "s") == {}
-    assert held_of({}) == ()
 
 
 def test_an_octomap_without_data_is_none():

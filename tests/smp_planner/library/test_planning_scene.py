@@ -341,13 +341,6 @@ def moved(joint):
             True,
         ),
         (
-            box_in(
-                "world", robot_state={"attached_collision_objects": [{"object": {"id": "cup"}}]}
-            ),
-            "the robot holds cup",
-            True,
-        ),
-        (
             {"world": {"collision_objects": [{"id": "m", "meshes": [{"resource": "a.stl"}]}]}},
             "m.meshes[0] is a mesh of another file, which is not read",
             True,

@@ -7,9 +7,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from smp_gym.observation import decode
 from smp_gym.robot import kinematics
 from smp_gym.scene import Obstacle
-from smp_planner import SMP, Circle, Robot
+from smp_planner import SMP, AdaptSettings, Circle, PointCloud, Robot
 from smp_planner.adaptation import adaptation
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.planning.viewer import Exhibit, Lines, Motion, exhibit_of, show
@@ -241,6 +242,52 @@ def test_a_plan_of_an_environment_is_shown(served):
     # The base stands where the arm's own description has it: symmetric, on the table.
     base = placed(page.nodes["links/0"])
     assert base[:, 2].min() == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_cloud_of_ones_own_is_shown_by_its_points(served):
+    across, up = np.meshgrid(np.linspace(-0.2, 0.2, 15), np.linspace(-0.1, 0.3, 15))
+    wall = np.stack([np.full(across.size, 0.5), across.ravel() + 0.5, up.ravel()], axis=1)
+    bows = (-0.1, 0.0, 0.1, 0.2)
+    paths = [np.stack([PHASE, b * np.sin(np.pi * PHASE), 0.1 * PHASE], axis=1) for b in bows]
+    settings = AdaptSettings(map_points=2000, map_steps=20)
+    cloud = PointCloud(wall, sensor=(-1.0, 0.5, 0.1), inflation=0.05)
+    plan = SMP.fit(paths).adapt([BOX, cloud], particles=2, method="promp", settings=settings)
+    page = served(exhibit_of(plan))
+    node = page.nodes["clouds/0"]
+    np.testing.assert_allclose(node.points, wall, atol=1e-6)
+    # Points next to each other are told apart, and leave less than they cover.
+    assert 0.004 < node.point_size < 0.4 / 14
+    assert [name for name in page.nodes if name.startswith("obstacles")] == ["obstacles/0"]
+    page.controls["points: 225"].value = False
+    assert until(lambda: not node.visible)
+
+
+def test_several_clouds_have_boxes_of_their_own(served):
+    rng = np.random.default_rng(0)
+    many, one, none = rng.normal(size=(50, 3)), np.ones((1, 3)), np.empty((0, 3))
+    page = served(Exhibit("clouds", {}, clouds=[many, none, one]))
+    assert [name for name in page.nodes if name.startswith("clouds")] == ["clouds/0", "clouds/1"]
+    assert len(page.nodes["clouds/1"].points) == 1
+    assert page.nodes["clouds/1"].point_size > 0.0
+    assert list(page.controls) == ["points: 50", "points: 1 (2)"]
+    page.controls["points: 1 (2)"].value = False
+    assert until(lambda: not page.nodes["clouds/1"].visible)
+    assert page.nodes["clouds/0"].visible
+
+
+def test_a_plan_on_what_a_camera_sees_shows_its_points(served):
+    env = gym.make("smp_gym/Placement-v0", difficulty="easy", sensing="depth")
+    try:
+        policy = PlannerPolicy.make("promp", "Placement", settings={"particles": 4})
+        observation, _ = env.reset(seed=3)
+        plan = policy.plan(observation)
+    finally:
+        env.close()
+    page = served(exhibit_of(plan))
+    seen = decode(observation, "Placement").points
+    assert len(seen) > 50
+    np.testing.assert_allclose(page.nodes["clouds/0"].points, seen, atol=1e-6)
+    assert not [name for name in page.nodes if name.startswith("obstacles")]
 
 
 def test_paths_in_the_plane_are_refused():
