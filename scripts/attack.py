@@ -311,6 +311,7 @@ def entries(folder: Path) -> list[Entry]:
         for name, part in PriorSettings.model_fields.items()
         if part.annotation in (int, float)
     }
+    learning["smooth_std"] = not_positive
     return [
         Entry("gymnasium.make", make, {"difficulty": no_name, "reward": no_name, "width": no_count,
               "height": of(0, 10**10, 1.5, "a", None), "camera": of(3, {"yaw": np.nan}, "a"),

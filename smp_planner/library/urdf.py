@@ -1,7 +1,8 @@
 """A robot from its URDF: the chain of moving joints to a tip, its limits, spheres around its links.
 
-The chain of `RobotModel` turns about the z axes of its frames; a joint with another axis gets a
-frame that is turned so. Its base frame is that of the URDF's root link. Metres and radians.
+The joints of `RobotModel` turn about the z axes of its frames or, prismatic ones, slide along them;
+a joint with another axis gets a frame that is turned so. Its base frame is that of the URDF's root
+link. Metres and radians.
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ _STANDING = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A serial chain of revolute joints with spheres around its links.
+    """A serial chain of revolute and prismatic joints with spheres around its links.
 
     Made by `Robot.from_urdf`.
 
     Attributes:
         model: the chain; its `collision_pairs` are left to `SMP.fit`, which sees from the
             demonstrations what may come near to what.
-        joints: (n) names of its joints, in the order of a configuration's coordinates.
+        joints: (n) names of its joints, in the order of a configuration's coordinates, which are
+            rad, or m of a prismatic joint (`units`).
         continuous: (n) whether a turn of 2 pi changes nothing about a joint; none by default.
         standing: where other joints stand, rad or m, by name: those held, those that mimic them,
             and those beside the chain. Fixed ones are left out.
@@ -111,8 +113,8 @@ class Robot:
             overshoot: m, largest distance of a point of a sphere from the collision shape that it
                 covers. The smaller, the more spheres: half of it asks for about three times as
                 many.
-            limits: (lower, upper), rad, by joint, in place of those of the file.
-            velocities: limits of velocity, rad/s, by joint, likewise.
+            limits: (lower, upper), rad or m, by joint, in place of those of the file.
+            velocities: limits of velocity, rad/s or m/s, by joint, likewise.
             bodiless: links that move and are known to have no body. Others that have a visual
                 shape must have a collision shape, and each joint must move at least one.
             packages: folders by the name of the package, in which meshes may lie, too.
@@ -122,9 +124,9 @@ class Robot:
         Raises:
             FileNotFoundError: no such file, or a mesh is missing.
             ValueError: not a URDF, no such link or joint, no moving joint on the chain, a joint of
-                the chain that is neither revolute, continuous, fixed nor held or has no limits, a
-                link without body, or more than `covering.MOST_SPHERES` spheres; the message names
-                joint or link, and attribute.
+                the chain that is neither revolute, continuous, prismatic, fixed nor held or has no
+                limits, a link without body, or more than `covering.MOST_SPHERES` spheres; the
+                message names joint or link, and attribute.
         """
         overshoot = checked_number("overshoot", overshoot, above=0.0)
         description = read_description(path, packages)
@@ -146,6 +148,11 @@ class Robot:
     def dimension(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(n) units of a configuration's coordinates, "rad" or "m"."""
+        return self.model.units
 
     def holding(self, bodies: Iterable[Obstacle] | Obstacle, *, overshoot: float = 0.01) -> Robot:
         """Return the robot with bodies in its tool, which collide as its links do.
@@ -201,11 +208,11 @@ class Robot:
         return mask
 
     def tool_positions(self, configurations: FloatArray) -> FloatArray:
-        """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
+        """Return where the tool is, (..., 3) m, in configurations (..., n) rad or m."""
         return self.model.carried_points(configurations, np.zeros(3))[0]
 
     def tool_quaternions(self, configurations: FloatArray) -> FloatArray:
-        """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad.
+        """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad or m.
 
         From the tip's frame to that of the root link.
         """
@@ -216,7 +223,7 @@ class Robot:
     def configuration(
         self, positions: Mapping[str, float], *, ignored: Iterable[str] = ()
     ) -> FloatArray:
-        """Return the configuration (n,) rad of joints that are given by name, in any order.
+        """Return the configuration (n,) rad or m of joints that are given by name, in any order.
 
         Args:
             positions: rad or m. Those of joints that do not move must be where these stand, up to
@@ -265,12 +272,18 @@ class Robot:
         """Return the fastest motion along a path, see `timed_trajectory.timed`.
 
         Args:
-            path: (T, n) rad, T ≥ 2, such as `Plan.best`.
-            acceleration: rad/s², limit of all joints or of each (n,).
+            path: (T, n) rad or m, T ≥ 2, such as `Plan.best`.
+            acceleration: rad/s² or m/s², limit of all joints or of each (n,); of each, if some
+                joints are revolute and others prismatic.
             **settings: see `TimingSettings`.
         """
         return timed(
-            self.joints, self.model.velocity, path, acceleration, TimingSettings(**settings)
+            self.joints,
+            self.model.velocity,
+            path,
+            acceleration,
+            TimingSettings(**settings),
+            self.units,
         )
 
 
@@ -359,17 +372,18 @@ def _check_moving(chain: Sequence[Joint], tip: str) -> None:
     if not chain:
         raise ValueError(f"tip {tip!r} must be moved by at least one joint, got none")
     for joint in chain:
-        if joint.kind not in ("revolute", "continuous"):
+        if joint.kind not in ("revolute", "continuous", "prismatic"):
             raise ValueError(
-                f"joint {joint.name!r} in the chain to {tip!r} is {joint.kind}; only revolute and "
-                f"continuous joints can be planned for, others must be held"
+                f"joint {joint.name!r} in the chain to {tip!r} is {joint.kind}; only revolute, "
+                f"continuous and prismatic joints can be planned for, others must be held"
             )
         numbers = (joint.lower, joint.upper, joint.velocity)
         if not (np.isfinite(numbers).all() and joint.lower < joint.upper and joint.velocity > 0.0):
+            unit = "m" if joint.kind == "prismatic" else "rad"
             raise ValueError(
                 f"joint {joint.name!r} must have a range and a velocity limit, got "
-                f"[{joint.lower}, {joint.upper}] rad and {joint.velocity} rad/s; others can be "
-                f"given as limits={{{joint.name!r}: (lower, upper)}} and "
+                f"[{joint.lower}, {joint.upper}] {unit} and {joint.velocity} {unit}/s; others can "
+                f"be given as limits={{{joint.name!r}: (lower, upper)}} and "
                 f"velocities={{{joint.name!r}: velocity}}"
             )
 
@@ -455,6 +469,7 @@ def _assembled(
         velocity=np.array([joint.velocity for joint in chain]),
         spheres=SphereSet(np.array(link, np.int64), data[:, :3], data[:, 3]),
         collision_pairs=np.empty((0, 2), np.int64),
+        prismatic=np.array([joint.kind == "prismatic" for joint in chain]),
     )
     names = tuple(joint.name for joint in chain)
     standing = {
