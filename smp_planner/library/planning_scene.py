@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -48,7 +49,8 @@ class PlanningScene:
     Made by `PlanningScene.load`.
 
     Attributes:
-        obstacles: (N) bodies, m, in the frame of the robot's root link.
+        obstacles: (N) bodies, m, in the robot's base frame: that of its root link, or the one in
+            which `Robot.from_urdf` was given the pose of that.
         names: (N) of the collision object that each is of.
         start: positions, rad or m, by joint; None if none is given. `Robot.configuration` puts
             them into the robot's order.
@@ -102,12 +104,12 @@ class PlanningScene:
                 fields of ``moveit_msgs/PlanningScene``, as MotionBenchMaker has it.
             request: of YAML with the fields of ``moveit_msgs/MotionPlanRequest``; None reads start
                 and goals from the scene's file, if it has any.
-            robot: whose links that do not move are frames of known places, and whose root link
+            robot: whose links that do not move are frames of known places, and whose base frame
                 is "world", the frame of bodies that name none. Goals of a pose need it, and are of
                 its tip or of links that move as that does.
-            frames: position (3,) m and quaternion (4,) x, y, z, w, in the robot's root link, of
+            frames: position (3,) m and quaternion (4,) x, y, z, w, in the robot's base frame, of
                 other frames by name. Frames that the file itself places in others follow these.
-                With neither robot nor frames the one frame of the file is taken for the root link.
+                With neither robot nor frames the one frame of the file is taken for the base frame.
             cell: m, size of the pieces of a mesh that each get a sphere.
             overshoot: m, by which cylinders stand out of a cone at most.
             skip_unsupported: leave out planes, octomaps, meshes of other files, what the robot
@@ -214,7 +216,7 @@ def _poses(
     given: Mapping[str, Pose],
     robot: Robot | None,
 ) -> dict[str, Pose]:
-    """Return where frames are in the robot's root link.
+    """Return where frames are in the robot's base frame.
 
     Args:
         names: of the frames.
@@ -229,12 +231,15 @@ def _poses(
         raise ValueError(f"frames must be of {', '.join(sorted(known))}, got {', '.join(unknown)}")
     placed = dict(given)
     for name, pose in {} if robot is None else robot.base_links.items():
+        # A root link of that name which stands elsewhere is not what files call the world.
+        if name == WORLD and not np.array_equal(pose, np.eye(4)):
+            continue
         placed.setdefault(name, Pose(Rotation.from_matrix(pose[:3, :3]), pose[:3, 3]))
     above = {name: _above(name, fixed, placed) for name in dict.fromkeys(names)}
     left = sorted({top for top, _ in above.values()} - set(placed))
     if left and (given or len(left) > 1 or (robot is not None and left != [WORLD])):
         raise ValueError(
-            f"frames must say where {' and '.join(left)} are in the robot's root link, got "
+            f"frames must say where {' and '.join(left)} are in the robot's base frame, got "
             f"{', '.join(given) or 'none'}"
         )
     return {

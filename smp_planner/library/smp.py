@@ -254,8 +254,8 @@ class SMP:
         """Return particles of the primitive, adapted to a scene.
 
         Each of the demonstrations' modes keeps its share of the particles. Positions and lengths
-        are in the unit of the demonstrations; for a robot, obstacles are in metres in the frame of
-        its root link.
+        are in the unit of the demonstrations; for a robot, obstacles are in metres in its base
+        frame (`Robot.from_urdf`).
 
         Args:
             obstacles: `Circle`s and `Rectangle`s in the plane; in space and for a robot

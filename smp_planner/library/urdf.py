@@ -1,8 +1,9 @@
 """A robot from its URDF: the chain of moving joints to a tip, its limits, spheres around its links.
 
 The joints of `RobotModel` turn about the z axes of its frames or, prismatic ones, slide along them;
-a joint with another axis gets a frame that is turned so. Its base frame is that of the URDF's root
-link. Metres and radians.
+a joint with another axis gets a frame that is turned so. The base frame, in which obstacles and
+places of the tool are, is that of the URDF's root link, unless a pose of that in it is given. Metres
+and radians.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import BoolArray, FloatArray, checked_array, checked_number, shown
+from smp_gym.geometry.pose import checked_pose
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel
@@ -46,7 +49,7 @@ class Robot:
         continuous: (n) whether a turn of 2 pi changes nothing about a joint; none by default.
         standing: where other joints stand, rad or m, by name: those held, those that mimic them,
             and those beside the chain. Fixed ones are left out.
-        base_links: (4, 4) poses in the root link of all links that do not move, by name.
+        base_links: (4, 4) poses in the base frame of all links that do not move, by name.
         visuals: what is seen of it, shapes with the number of the link of `model` that each is
             fixed to; of links without visual shapes, or with one that cannot be read, it is the
             collision shapes. Files of `SMP.save` do not hold them.
@@ -97,6 +100,7 @@ class Robot:
         packages: Mapping[str, str | Path] | None = None,
         srdf: str | Path | None = None,
         touching: Iterable[tuple[str, str]] = (),
+        base: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> Robot:
         """Read the chain from the root link to a tip.
 
@@ -120,6 +124,9 @@ class Robot:
             packages: folders by the name of the package, in which meshes may lie, too.
             srdf: semantic description, whose disabled collisions are pairs of links that may touch.
             touching: more such pairs, by their names.
+            base: position (3,) m and quaternion (4,) x, y, z, w of the root link in the frame in
+                which obstacles, clouds, goals of the tool and planning scenes are, such as that of
+                the room; None takes the root link's own.
 
         Raises:
             FileNotFoundError: no such file, or a mesh is missing.
@@ -141,7 +148,8 @@ class Robot:
         allowed = checked_pairs(touching, links.keys())
         if srdf is not None:
             allowed |= read_touching(srdf, links.keys())
-        robot = _assembled(description, joints, positions, moving, tip, overshoot, bodiless)
+        pose = _checked_base(base)
+        robot = _assembled(description, joints, positions, moving, tip, overshoot, bodiless, pose)
         return replace(robot, touching=allowed)
 
     @property
@@ -214,7 +222,7 @@ class Robot:
     def tool_quaternions(self, configurations: FloatArray) -> FloatArray:
         """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad or m.
 
-        From the tip's frame to that of the root link.
+        From the tip's frame to the base frame.
         """
         rotations = self.model.tool_rotations(configurations)[0]
         flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
@@ -285,6 +293,18 @@ class Robot:
             TimingSettings(**settings),
             self.units,
         )
+
+
+def _checked_base(base: Any) -> FloatArray:
+    """Return the pose (4, 4) of the root link."""
+    pose = np.eye(4)
+    if base is None:
+        return pose
+    if not isinstance(base, tuple | list) or len(base) != 2:
+        raise ValueError(f"base must be a position and a quaternion, got {shown(base)}")
+    given = checked_pose(*base, where="base: ")
+    pose[:3, :3], pose[:3, 3] = given.rotation.as_matrix(), given.position
+    return pose
 
 
 def _named(name: str, given: Any, joints: Mapping[str, Joint]) -> dict[str, Any]:
@@ -424,6 +444,7 @@ def _assembled(
     tip: str,
     overshoot: float,
     bodiless: Any,
+    base: FloatArray,
 ) -> Robot:
     links = description.links
     children: dict[str, list[Joint]] = {name: [] for name in links}
@@ -461,7 +482,7 @@ def _assembled(
         spheres.append(np.column_stack([centers, cover[:, 3]]))
     data = np.concatenate(spheres)
     model = RobotModel(
-        base=np.eye(4),
+        base=base,
         joint_origins=origins,
         end_effector=placed[tip][1],
         lower=np.array([joint.lower for joint in chain]),
@@ -477,7 +498,7 @@ def _assembled(
         for name, position in positions.items()
         if position is not None and not joints[name].is_fixed
     }
-    base_links = {name: pose for name, (index, pose) in placed.items() if index == 0}
+    base_links = {name: base @ pose for name, (index, pose) in placed.items() if index == 0}
     continuous = tuple(joint.kind == "continuous" for joint in chain)
     visuals = tuple(
         (index, replace(shape, origin=pose @ shape.origin))
