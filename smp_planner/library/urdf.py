@@ -2,8 +2,8 @@
 
 The joints of `RobotModel` turn about the z axes of its frames or, prismatic ones, slide along them;
 a joint with another axis gets a frame that is turned so. The base frame, in which obstacles and
-places of the tool are, is that of the URDF's root link, unless a pose of that in it is given. Metres
-and radians.
+places of the tool are, is that of the URDF's root link, unless a pose of that in another is given.
+Metres and radians.
 """
 
 from __future__ import annotations
