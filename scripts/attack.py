@@ -311,6 +311,7 @@ def entries(folder: Path) -> list[Entry]:
         for name, part in PriorSettings.model_fields.items()
         if part.annotation in (int, float)
     }
+    learning["smooth_std"] = not_positive
     return [
         Entry("gymnasium.make", make, {"difficulty": no_name, "reward": no_name, "width": no_count,
               "height": of(0, 10**10, 1.5, "a", None), "camera": of(3, {"yaw": np.nan}, "a"),
@@ -413,7 +414,9 @@ def entries(folder: Path) -> list[Entry]:
         Entry("Robot.from_urdf", Robot.from_urdf, {"path": of("none.urdf", folder), "tip": no_name,
               "held": no_mapping, "cell": not_positive, "limits": no_mapping,
               "velocities": no_mapping, "bodiless": of("a", 3, ["a"], [3]),
-              "packages": of({"a": "/no/folder"}, 3, ["a"])},
+              "packages": of({"a": "/no/folder"}, 3, ["a"]),
+              "base": of(3, "a", [], ((0, 0), (0, 0, 0, 1)), ((0, 0, np.nan), (0, 0, 0, 1)),
+              ((0, 0, 0), (0, 0, 0, 2)))},
               {"path": jaco_urdf(), "tip": "j2s6s200_end_effector"}),
         Entry("ProMP.fit", ProMP.fit, {"demonstrations": no_paths,
               "smooth_std": not_positive, "smooth_length_scale": not_positive},

@@ -22,6 +22,7 @@ __all__ = [
     "chain",
     "exact_chain",
     "exact_place",
+    "link_poses",
     "place",
     "sine_cosine",
     "sphere_paths",
@@ -109,6 +110,37 @@ chain, exact_chain = kernel(_chain, fastmath=FAST), kernel(_chain)
 place, exact_place = kernel(_place, fastmath=FAST), kernel(_place)
 
 
+@kernel(fastmath=FAST)
+def link_poses(positions, prismatic, base, origins, sine, cosine, rotation, position):
+    """Write the pose of each link, as `chain`, of joints some of which may be prismatic.
+
+    A prismatic joint turns nothing, and moves all links beyond it along its axis.
+
+    Args:
+        positions: (n,T) rad or m, of the joints.
+        prismatic: (n,) whether a joint is.
+        base: (4,4), as in `chain`, like the next.
+        origins: (n,4,4).
+        sine: (n,T), written, like the next; of a prismatic joint those of 0.
+        cosine: (n,T).
+        rotation: (n+1,3,3,T), written, as in `chain`, like the next.
+        position: (n+1,3,T) m.
+    """
+    joints, steps = positions.shape
+    sine_cosine(positions.ravel(), sine.ravel(), cosine.ravel())
+    for k in range(joints):
+        if prismatic[k]:
+            sine[k] = 0.0
+            cosine[k] = 1.0
+    chain(sine, cosine, base, origins, rotation, position)
+    for k in range(joints):
+        if prismatic[k]:
+            for link in range(k + 1, joints + 1):
+                for i in range(3):
+                    for t in range(steps):
+                        position[link, i, t] += rotation[k + 1, i, 2, t] * positions[k, t]
+
+
 @kernel
 def sphere_paths(configurations, base, origins, link, center):
     """Return the centres of link spheres for many configurations.
@@ -145,27 +177,30 @@ def sphere_paths(configurations, base, origins, link, center):
 
 
 @kernel(fastmath=FAST)
-def carried_points(angles, base, origins, link, point, placed, jacobians):
+def carried_points(positions, prismatic, base, origins, link, point, placed, jacobians):
     """Write where a point fixed to the last link is, and how it moves with each joint.
 
     Args:
-        angles: (n,N) rad.
+        positions: (n,N) rad or m, as in `link_poses`.
+        prismatic: (n,), as in `link_poses`.
         base: (4,4), as in `chain`.
         origins: (n,4,4), as in `chain`.
         link: (1,) the last link.
         point: (1,3) m in the last link's frame.
         placed: (1,3,N) m in the base frame, written.
-        jacobians: (3,n,N) m/rad, written.
+        jacobians: (3,n,N) m/rad, or without unit of a prismatic joint; written.
     """
-    joints, count = angles.shape
+    joints, count = positions.shape
     sine = np.empty((joints, count))
     cosine = np.empty((joints, count))
     rotation = np.empty((joints + 1, 3, 3, count))
     position = np.empty((joints + 1, 3, count))
-    sine_cosine(angles.ravel(), sine.ravel(), cosine.ravel())
-    chain(sine, cosine, base, origins, rotation, position)
+    link_poses(positions, prismatic, base, origins, sine, cosine, rotation, position)
     place(rotation, position, link, point, placed)
     for k in range(1, joints + 1):
+        if prismatic[k - 1]:
+            jacobians[:, k - 1] = rotation[k, :, 2]
+            continue
         for i in range(count):
             dx = placed[0, 0, i] - position[k, 0, i]
             dy = placed[0, 1, i] - position[k, 1, i]

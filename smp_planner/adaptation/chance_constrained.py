@@ -201,7 +201,8 @@ class Lagrangian:
             own: Tensor = _Clear.apply(points[constraint.steps], constraint.of_scene.clearances)
             middle, variance = unscented_moments(own)
             std = (variance + _LEAST_CLEARANCE_STD**2).sqrt()
-            missed = constraint.of_scene.margin + self.quantile * std - middle
+            margin = torch.as_tensor(constraint.of_scene.margin, dtype=middle.dtype)
+            missed = margin + self.quantile * std - middle
             found.append(missed / constraint.of_scene.width)
         return found
 

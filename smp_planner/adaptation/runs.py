@@ -39,14 +39,14 @@ class StepConstraint:
     Attributes:
         steps: at which.
         clearances: M of a configuration.
-        margin: least that they should be.
+        margin: least that they should be, of all or of each (M,).
         width: scale of what is missing.
         weight: first multiplier of each clearance at each step.
     """
 
     steps: slice
     clearances: Clearances
-    margin: float
+    margin: float | FloatArray
     width: float
     weight: float
 

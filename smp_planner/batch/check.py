@@ -52,6 +52,9 @@ def path_gaps(tables: Tables, stage: BodyTables, trajectories: Tensor, gaps: Gap
     nearest, own_nearest = gap.amin(-1), own.amin(-1)
     change = path.diff(dim=-2)
     travel = (change.abs() @ stage.levers.mT[:, None]).amax(-1)
+    if any(tables.prismatic):
+        # Levers hold within the limits; beyond them, revolute joints may have longer ones.
+        travel = travel + change.abs().sum(-1) * _beyond(tables, path)[..., None]
     bound = 0.5 * (gap[..., :-1] + gap[..., 1:] - travel)
     settled = (own[..., :-1] + own[..., 1:] >= travel) | (own_nearest < CLEARANCE_TOLERANCE)[
         ..., None
@@ -75,3 +78,10 @@ def path_gaps(tables: Tables, stage: BodyTables, trajectories: Tensor, gaps: Gap
         own_nearest = own_nearest.scatter_reduce(1, particle, own_found.amin(-1), "amin")
     nearest = torch.where((stage.obstacle_count > 0)[:, None], nearest, torch.inf)
     return PathGaps(nearest, own_nearest >= CLEARANCE_TOLERANCE)
+
+
+def _beyond(tables: Tables, path: Tensor) -> Tensor:
+    """Return by how much (B, P), m, prismatic joints are beyond their limits at most, all added."""
+    slides = torch.tensor(tables.prismatic, device=path.device)
+    excess = (path - path.clamp(tables.lower, tables.upper)).abs().amax(-2)
+    return torch.where(slides, excess, 0.0).sum(-1)

@@ -39,6 +39,11 @@ def _pairs(body: BodyTables) -> tuple[int, ...]:
     return tuple(itertools.chain.from_iterable(body.pair_links))
 
 
+def _kinds(tables: Tables) -> tuple[int, ...]:
+    """Return 1 for each prismatic joint, 0 for the others."""
+    return tuple(int(slides) for slides in tables.prismatic)
+
+
 def _parts(trajectories: Tensor) -> int:
     """Return how many programs share a block of configurations."""
     blocks = len(trajectories) * _blocks(trajectories[0, :, :, 0].numel())
@@ -156,6 +161,7 @@ class FusedCosts:
             *(weights[1], tables.own_edge_width, tables.own_margin),
             *(weights[2], REFERENCE_STEPS / (steps - 1), weights[3], REFERENCE_STEPS / steps),
             JOINTS=joints,
+            PRISMATIC=_kinds(self.tables),
             PAIRS=_pairs(body),
             CUTOFF=CUTOFF_WIDTHS,
             OBSTACLES=obstacles,
@@ -178,6 +184,7 @@ class FusedCosts:
             *self._terms.columns,
             *(self._terms.columns[0].shape[1], particles, steps, 1.0 / self._terms.sigma),
             JOINTS=joints,
+            PRISMATIC=_kinds(self.tables),
             BLOCK=BLOCK,
             num_warps=1,
         )
@@ -220,6 +227,7 @@ def fused_gaps(tables: Tables, stage: BodyTables, trajectories: Tensor) -> tuple
         *_strides(stage.spheres, stage.offsets, stage.balls, stage.obstacles, stage.pair_masks),
         *(particles, steps, SELF_HORIZON),
         JOINTS=joints,
+        PRISMATIC=_kinds(tables),
         PAIRS=_pairs(stage),
         BLOCK=BLOCK,
         num_warps=1,

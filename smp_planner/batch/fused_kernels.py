@@ -70,12 +70,28 @@ def _base(chain, BLOCK: tl.constexpr):
 
 
 @triton.jit
-def _poses(chain, angles, JOINTS: tl.constexpr, BLOCK: tl.constexpr):
-    """Return the poses of all links, 12 numbers each, of a tuple of angles."""
+def _slide(chain, joint, before, length):
+    """Return the pose of the link after a prismatic joint: `_turn` by 0, moved along its axis."""
+    after = _turn(chain, joint, before, 0.0 * length, 0.0 * length + 1.0)
+    turned = ()
+    placed = ()
+    for i in tl.static_range(9):
+        turned = turned + (after[i],)
+    for i in tl.static_range(3):
+        placed = placed + (after[9 + i] + after[2 + 3 * i] * length,)
+    return turned + placed
+
+
+@triton.jit
+def _poses(chain, angles, JOINTS: tl.constexpr, PRISMATIC: tl.constexpr, BLOCK: tl.constexpr):
+    """Return the poses of all links, 12 numbers each, of a tuple of angles, or lengths."""
     poses = _base(chain, BLOCK)
     before = poses
     for joint in tl.static_range(JOINTS):
-        before = _turn(chain, joint, before, tl.sin(angles[joint]), tl.cos(angles[joint]))
+        if PRISMATIC[joint]:
+            before = _slide(chain, joint, before, angles[joint])
+        else:
+            before = _turn(chain, joint, before, tl.sin(angles[joint]), tl.cos(angles[joint]))
         poses = poses + before
     return poses
 
@@ -103,17 +119,24 @@ def _rotated(poses, link: tl.constexpr, x, y, z):
 
 
 @triton.jit
-def _torque(poses, link: tl.constexpr, x, y, z, fx, fy, fz, mx, my, mz):
-    """Return the torque at the joint before a link of a force and its moment about a point."""
+def _torque(poses, link: tl.constexpr, PRISMATIC: tl.constexpr, x, y, z, fx, fy, fz, mx, my, mz):
+    """Return the torque at the joint before a link of a force and its moment about a point.
+
+    At a prismatic joint it is the force along its axis.
+    """
     p: tl.constexpr = 12 * link
-    x = poses[p + 9] - x
-    y = poses[p + 10] - y
-    z = poses[p + 11] - z
-    return (
-        poses[p + 2] * (mx - (y * fz - z * fy))
-        + poses[p + 5] * (my - (z * fx - x * fz))
-        + poses[p + 8] * (mz - (x * fy - y * fx))
-    )
+    if PRISMATIC[link - 1]:
+        found = poses[p + 2] * fx + poses[p + 5] * fy + poses[p + 8] * fz
+    else:
+        x = poses[p + 9] - x
+        y = poses[p + 10] - y
+        z = poses[p + 11] - z
+        found = (
+            poses[p + 2] * (mx - (y * fz - z * fy))
+            + poses[p + 5] * (my - (z * fx - x * fz))
+            + poses[p + 8] * (mz - (x * fy - y * fx))
+        )
+    return found
 
 
 @triton.jit
@@ -318,6 +341,7 @@ def collisions(
     limit_weight,
     own_scale,
     JOINTS: tl.constexpr,
+    PRISMATIC: tl.constexpr,
     PAIRS: tl.constexpr,
     CUTOFF: tl.constexpr,
     OBSTACLES: tl.constexpr,
@@ -350,7 +374,7 @@ def collisions(
     for joint in tl.static_range(JOINTS):
         angles = angles + (tl.load(trajectories + at * JOINTS + joint),)
         torque = torque + (tl.zeros([BLOCK], tl.float32),)
-    poses = _poses(chain, angles, JOINTS, BLOCK)
+    poses = _poses(chain, angles, JOINTS, PRISMATIC, BLOCK)
     if OBSTACLES:
         spheres += scene * sphere_stride
         offsets += scene * offset_stride
@@ -412,7 +436,7 @@ def collisions(
                         mx += y * gz - z * gy
                         my += z * gx - x * gz
                         mz += x * gy - y * gx
-            turned = _torque(poses, link, 0.0, 0.0, 0.0, fx, fy, fz, mx, my, mz)
+            turned = _torque(poses, link, PRISMATIC, 0.0, 0.0, 0.0, fx, fy, fz, mx, my, mz)
             outer = (factor * turned,) + outer
         torque = outer
         if VALUES:
@@ -516,7 +540,7 @@ def collisions(
             added = ()
             for joint in tl.static_range(JOINTS):
                 if joint >= PAIRS[2 * pair] and joint < PAIRS[2 * pair + 1]:
-                    turned = _torque(poses, joint + 1, x, y, z, fx, fy, fz, mx, my, mz)
+                    turned = _torque(poses, joint + 1, PRISMATIC, x, y, z, fx, fy, fz, mx, my, mz)
                     added = added + (torque[joint] - weight * turned,)
                 else:
                     added = added + (torque[joint],)
@@ -573,6 +597,7 @@ def _tool_offset(
     inv_sigma,
     steps,
     JOINTS: tl.constexpr,
+    PRISMATIC: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
     """Return poses at the phase of a term, the carried point, and its offset from the box."""
@@ -582,7 +607,7 @@ def _tool_offset(
     for joint in tl.static_range(JOINTS):
         here = trajectories + at * JOINTS + joint
         angles = angles + ((1.0 - part) * tl.load(here) + part * tl.load(here + JOINTS),)
-    poses = _poses(chain, angles, JOINTS, BLOCK)
+    poses = _poses(chain, angles, JOINTS, PRISMATIC, BLOCK)
     row = point + 3 * term
     x, y, z = _place(poses, JOINTS, tl.load(row), tl.load(row + 1), tl.load(row + 2))
     low = lower + 3 * term
@@ -610,6 +635,7 @@ def tools(
     steps,
     inv_sigma,
     JOINTS: tl.constexpr,
+    PRISMATIC: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
     """Add the gradient of boxes for carried points, of all groups of `ToolTables`.
@@ -644,6 +670,7 @@ def tools(
                 inv_sigma,
                 steps,
                 JOINTS,
+                PRISMATIC,
                 BLOCK,
             )
             own = tl.load(log_weight + h) - 0.5 * (u * u + v * v + w * w)
@@ -664,6 +691,7 @@ def tools(
                         inv_sigma,
                         steps,
                         JOINTS,
+                        PRISMATIC,
                         BLOCK,
                     )
                     there = tl.load(log_weight + other) - 0.5 * (a * a + b * b + c * c)
@@ -675,7 +703,7 @@ def tools(
             at = (start + tl.load(step + h)) * JOINTS
             part = tl.load(share + h)
             for joint in tl.static_range(JOINTS):
-                turned = _torque(poses, joint + 1, x, y, z, u, v, w, 0.0, 0.0, 0.0)
+                turned = _torque(poses, joint + 1, PRISMATIC, x, y, z, u, v, w, 0.0, 0.0, 0.0)
                 where = gradient + at + joint
                 found = tl.load(where, mask=valid, other=0.0)
                 tl.store(where, found + (1.0 - part) * turned, mask=valid)
@@ -781,6 +809,7 @@ def gaps(
     steps,
     horizon,
     JOINTS: tl.constexpr,
+    PRISMATIC: tl.constexpr,
     PAIRS: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
@@ -796,7 +825,7 @@ def gaps(
     angles = ()
     for joint in tl.static_range(JOINTS):
         angles = angles + (tl.load(trajectories + at * JOINTS + joint),)
-    poses = _poses(chain, angles, JOINTS, BLOCK)
+    poses = _poses(chain, angles, JOINTS, PRISMATIC, BLOCK)
     best, own = _clearances(
         poses,
         spheres + scene * sphere_stride,

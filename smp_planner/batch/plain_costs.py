@@ -46,45 +46,56 @@ class Chain(NamedTuple):
     Attributes:
         rotation: (..., n + 1, 3, 3); the last column is the axis of the joint before the link.
         position: (..., n + 1, 3) m.
+        prismatic: (n) whether a joint is.
     """
 
     rotation: Tensor
     position: Tensor
+    prismatic: tuple[bool, ...]
 
 
-def chain(rows: Tensor, configurations: Tensor) -> Chain:
+def chain(tables: Tables, configurations: Tensor) -> Chain:
     """Return the poses of all links.
 
     Args:
-        rows: (n + 1, 12) of `Tables.chain`.
-        configurations: (..., n) rad.
+        tables: of the chain.
+        configurations: (..., n) rad or m.
     """
-    batch = configurations.shape[:-1]
+    batch, rows = configurations.shape[:-1], tables.chain
     rotation = rows[0, :9].reshape(3, 3).expand(*batch, 3, 3)
     position = rows[0, 9:].expand(*batch, 3)
     rotations, positions = [rotation], [position]
     cosine, sine = configurations.cos(), configurations.sin()
     for joint, row in enumerate(rows[1:]):
         position = position + rotation @ row[9:]
-        x, y, z = (rotation @ row[:9].reshape(3, 3)).unbind(-1)
-        c, s = cosine[..., joint, None], sine[..., joint, None]
-        rotation = torch.stack([x * c + y * s, y * c - x * s, z], -1)
+        rotation = rotation @ row[:9].reshape(3, 3)
+        x, y, z = rotation.unbind(-1)
+        if tables.prismatic[joint]:
+            position = position + z * configurations[..., joint, None]
+        else:
+            c, s = cosine[..., joint, None], sine[..., joint, None]
+            rotation = torch.stack([x * c + y * s, y * c - x * s, z], -1)
         rotations.append(rotation)
         positions.append(position)
-    return Chain(torch.stack(rotations, -3), torch.stack(positions, -2))
+    return Chain(torch.stack(rotations, -3), torch.stack(positions, -2), tables.prismatic)
 
 
 def project(links: Chain, force: Tensor, moment: Tensor) -> Tensor:
-    """Return the joint torques (..., n) of forces and moments about the origin on links.
+    """Return the joint torques (..., n), or forces, of forces and moments on links.
 
     Args:
         links: poses.
         force: (..., n + 1, 3).
-        moment: (..., n + 1, 3).
+        moment: (..., n + 1, 3), about the origin.
     """
     force, moment = (part[..., 1:, :].flip(-2).cumsum(-2).flip(-2) for part in (force, moment))
     arm = torch.linalg.cross(links.position[..., 1:, :], force)
-    return (links.rotation[..., 1:, :, 2] * (moment - arm)).sum(-1)
+    axis = links.rotation[..., 1:, :, 2]
+    torque = (axis * (moment - arm)).sum(-1)
+    if any(links.prismatic):
+        slides = torch.tensor(links.prismatic, device=axis.device)
+        torque = torch.where(slides, (axis * force).sum(-1), torque)
+    return torque
 
 
 def _placed(links: Chain, body: BodyTables) -> tuple[Tensor, Tensor]:
@@ -136,18 +147,18 @@ def _forces(links: Chain, placed: Tensor, link: Tensor, force: Tensor) -> Tensor
 
 
 def obstacle_cost(
-    body: BodyTables, rows: Tensor, trajectories: Tensor, width: float, margin: float
+    tables: Tables, body: BodyTables, trajectories: Tensor, width: float, margin: float
 ) -> ValueAndGradient:
     """Return the squared occupancy of spheres by obstacles (B, P), and its gradient (B, P, T, n).
 
     Args:
+        tables: of the chain.
         body: spheres and obstacles.
-        rows: of the chain.
-        trajectories: (B, P, T, n) rad, the steps of the stage.
+        trajectories: (B, P, T, n) rad or m, the steps of the stage.
         width: m, of the edge.
         margin: m.
     """
-    links = chain(rows, trajectories)
+    links = chain(tables, trajectories)
     placed, link = _placed(links, body)
     distance, away = obstacle_distance(placed.flatten(1, 3), body)
     distance, away = distance.reshape(placed.shape[:-1]), away.reshape(placed.shape)
@@ -179,7 +190,7 @@ def _spheres_of(link: int, body: BodyTables) -> tuple[slice, Tensor]:
 
 def self_cost(tables: Tables, trajectories: Tensor) -> ValueAndGradient:
     """Return the squared occupancy of spheres by one another (B, P), and its gradient."""
-    links = chain(tables.chain, trajectories)
+    links = chain(tables, trajectories)
     placed, link = _placed(links, tables.body)
     radius = tables.body.spheres[..., 3]
     width, margin = tables.own_edge_width, tables.own_margin
@@ -229,7 +240,7 @@ def plain_gaps(tables: Tables, stage: BodyTables, trajectories: Tensor) -> tuple
         stage: spheres and obstacles.
         trajectories: (B, P, T, n) rad.
     """
-    links = chain(tables.chain, trajectories)
+    links = chain(tables, trajectories)
     placed, link = _placed(links, stage)
     distance, _ = obstacle_distance(placed.flatten(1, 3), stage)
     radius = stage.spheres[:, None, None, :, 3]
@@ -273,7 +284,7 @@ def tool_cost(tables: Tables, tool: ToolTables, trajectories: Tensor) -> ValueAn
     step = tool.step.long()[:, None, :, None].expand(batch, particles, -1, joints)
     share = tool.share[:, None, :, None]
     due = (1.0 - share) * trajectories.gather(2, step) + share * trajectories.gather(2, step + 1)
-    links = chain(tables.chain, due)
+    links = chain(tables, due)
     last = links.rotation[..., -1, :, :]
     points = links.position[..., -1, :] + (last @ tool.point[:, None, ..., None])[..., 0]
     lower, upper = tool.lower[:, None], tool.upper[:, None]
@@ -347,7 +358,7 @@ class PlainCosts:
         gradient = torch.zeros_like(trajectories)
         for stage in tables.stages:
             part = trajectories[:, :, stage.first : stage.last]
-            found, slope = obstacle_cost(stage, tables.chain, part, width, margin)
+            found, slope = obstacle_cost(tables, stage, part, width, margin)
             value = value + found
             gradient[:, :, stage.first : stage.last] += slope.detach()
         return {

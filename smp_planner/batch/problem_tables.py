@@ -81,7 +81,8 @@ class BodyTables:
         pair_masks: (B, S, n + 1) int64, whether sphere s must stay clear of sphere number b of link
             k: bit b.
         pair_links: pairs of links, the inner one first, that have such spheres.
-        levers: (B, n + 1, n) m: no sphere of a link is ever farther from the axis of a joint.
+        levers: (B, n + 1, n) m/rad, or without unit of a prismatic joint: the largest of a link's
+            spheres; see `RobotModel.levers`.
     """
 
     first: int
@@ -131,6 +132,7 @@ class Tables:
     Attributes:
         steps: T, equal steps of phase.
         chain: (n + 1, 12) pose of link 0, and from each link to the next joint: rotation, place.
+        prismatic: (n) whether a joint is.
         stages: stretches of the trajectory with their obstacles.
         body: all that moves in the end; its obstacles are not used.
         weights: of obstacles, self-collision, velocities and joint limits.
@@ -139,13 +141,14 @@ class Tables:
         own_edge_width: m, of self-collision.
         own_margin: m, of self-collision.
         per_step: (n,) from a step's change to the share of the velocity limit that it needs.
-        lower: (n,) rad.
-        upper: (n,) rad.
+        lower: (n,) rad or m.
+        upper: (n,) rad or m.
         tools: boxes for points that the hand carries by name of the constraint.
     """
 
     steps: int
     chain: Tensor
+    prismatic: tuple[bool, ...]
     stages: tuple[BodyTables, ...]
     body: BodyTables
     weights: tuple[float, float, float, float]
@@ -202,6 +205,7 @@ class Tables:
         tables = cls(
             steps=steps,
             chain=torch.from_numpy(chain),
+            prismatic=tuple(first.prismatic.tolist()),
             stages=tuple(
                 _body_tables([problem.stages[i] for problem in problems], steps)
                 for i in range(len(problems[0].stages))

@@ -14,10 +14,11 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray, IntArray
+from smp_gym.arrays import FloatArray
 from smp_gym.compiling import FAST, kernel
-from smp_gym.robot.forward_kernels import chain, place, sine_cosine
+from smp_gym.robot.forward_kernels import link_poses, place
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.occupancy.grid import DistanceGrid, lookup
 
@@ -58,13 +59,12 @@ def _checked(configurations: Any, dimension: int, slopes: Any = None, count: int
 @kernel(fastmath=FAST)
 def _posed(configurations, begin, robot, sine, cosine, rotation, position, placed):
     """Write the poses of links and spheres of `_TOGETHER` configurations, the last one repeated."""
-    base, origins, link, center, _ = robot
+    base, origins, prismatic, link, center, _ = robot
     count, joints = configurations.shape
     for k in range(joints):
         for t in range(_TOGETHER):
             sine[k, t] = configurations[min(begin + t, count - 1), k]
-    sine_cosine(sine.copy().ravel(), sine.ravel(), cosine.ravel())
-    chain(sine, cosine, base, origins, rotation, position)
+    link_poses(sine.copy(), prismatic, base, origins, sine, cosine, rotation, position)
     place(rotation, position, link, center, placed)
 
 
@@ -73,14 +73,14 @@ def _sphere_clearances(configurations, robot, grid, clearance):
     """Write the clearances (N,S) of spheres.
 
     Args:
-        configurations: (N,n) rad.
-        robot: base (4,4), origins (n,4,4), and link (S,), centre (S,3) m and radius (S,) m of the
-            spheres.
+        configurations: (N,n) rad or m.
+        robot: base (4,4), origins (n,4,4), prismatic (n,), and link (S,), centre (S,3) m and
+            radius (S,) m of the spheres.
         grid: (X,Y,Z) signed distances in m, (3,) position of the first, and 1/m inverse spacing.
         clearance: (N,S) m, written.
     """
     values, origin, inv_spacing = grid
-    link, radius = robot[2], robot[4]
+    link, radius = robot[3], robot[5]
     count, joints = configurations.shape
     sine, cosine = np.empty((joints, _TOGETHER)), np.empty((joints, _TOGETHER))
     rotation = np.empty((joints + 1, 3, 3, _TOGETHER))
@@ -108,10 +108,10 @@ def _pull_back(configurations, robot, grid, slopes, gradient):
         robot: see there.
         grid: see there.
         slopes: (N,S) 1/m.
-        gradient: (N,n) 1/rad, written.
+        gradient: (N,n) 1/rad or 1/m, written.
     """
     values, origin, inv_spacing = grid
-    link = robot[2]
+    prismatic, link = robot[2], robot[3]
     count, joints = configurations.shape
     sine, cosine = np.empty((joints, _TOGETHER)), np.empty((joints, _TOGETHER))
     rotation = np.empty((joints + 1, 3, 3, _TOGETHER))
@@ -146,6 +146,14 @@ def _pull_back(configurations, robot, grid, slopes, gradient):
                 )
                 for i in range(6):
                     wrench[k - 1, i] += wrench[k, i]
+            for k in range(1, joints + 1):
+                if prismatic[k - 1]:
+                    # The force along the axis, of all that is beyond the joint.
+                    gradient[begin + t, k - 1] = (
+                        rotation[k, 0, 2, t] * wrench[k, 0]
+                        + rotation[k, 1, 2, t] * wrench[k, 1]
+                        + rotation[k, 2, 2, t] * wrench[k, 2]
+                    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,12 +170,13 @@ class SphereClearances:
     grid: DistanceGrid
 
     @cached_property
-    def _arrays(self) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
         robot = self.robot
         moves = robot.link > 0
         return (
             robot.base,
             robot.joint_origins,
+            robot.prismatic,
             robot.link[moves],
             robot.center[moves],
             robot.radius[moves],
@@ -178,23 +187,23 @@ class SphereClearances:
         return self.grid.values, self.grid.origin, 1.0 / self.grid.spacing
 
     def __call__(self, configurations: FloatArray) -> FloatArray:
-        """Return clearances (N, M) m of configurations (N, n) rad, negative in collision.
+        """Return clearances (N, M) m of configurations (N, n) rad or m, negative in collision.
 
         Raises:
             ValueError: wrong shape or not finite.
         """
         q = _checked(configurations, self.robot.joints)
-        clearance = np.empty((len(q), len(self._arrays[2])))
+        clearance = np.empty((len(q), len(self._arrays[3])))
         _sphere_clearances(q, self._arrays, self._map, clearance)
         return clearance
 
     def pull_back(self, configurations: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return the gradient (N, n) 1/rad of what has the derivatives (N, M) 1/m.
+        """Return the gradient (N, n) 1/rad or 1/m of what has the derivatives (N, M) 1/m.
 
         Raises:
             ValueError: wrong shapes or not finite.
         """
-        q = _checked(configurations, self.robot.joints, slopes, len(self._arrays[2]))
+        q = _checked(configurations, self.robot.joints, slopes, len(self._arrays[3]))
         gradient = np.empty(q.shape)
         _pull_back(q, self._arrays, self._map, np.ascontiguousarray(slopes, np.float64), gradient)
         return gradient
@@ -202,18 +211,18 @@ class SphereClearances:
 
 @dataclass(frozen=True, eq=False)
 class JointLimitClearances:
-    """Distances, rad, of joints from their lower and their upper limits: M = 2 n.
+    """Distances, rad or m, of joints from their lower and their upper limits: M = 2 n.
 
     Attributes:
-        lower: (n,) rad.
-        upper: (n,) rad.
+        lower: (n,) rad or m.
+        upper: (n,) rad or m.
     """
 
     lower: FloatArray
     upper: FloatArray
 
     def __call__(self, configurations: FloatArray) -> FloatArray:
-        """Return (N, 2 n) rad: how far above the lower limits, then how far below the upper.
+        """Return (N, 2 n) rad or m: how far above the lower limits, then how far below the upper.
 
         Raises:
             ValueError: wrong shape or not finite.

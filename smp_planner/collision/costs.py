@@ -1,7 +1,7 @@
 """Costs of trajectories, each with its gradient: obstacles, the arm itself, limits.
 
-A cost is called with trajectories (P,T,n) rad, at equal steps of phase, and returns its value (P,)
-and its gradient (P,T,n), both float64. Calling with anything else raises a ValueError.
+A cost is called with trajectories (P,T,n) rad or m, at equal steps of phase, and returns its value
+(P,) and its gradient (P,T,n), both float64. Calling with anything else raises a ValueError.
 
 A weight (the paper's lambda, Eq. (6)) keeps its meaning when T changes: what is summed along the
 trajectory is scaled to `REFERENCE_STEPS` steps. So weight 1 with T = 200 pulls as hard as with
@@ -273,17 +273,17 @@ class SelfCollisionCost:
 
 @dataclass(frozen=True, eq=False)
 class JointLimitCost:
-    """Squared excess over the joint limits, rad^2, summed over joints and steps.
+    """Squared excess over the joint limits, rad^2 or m^2, summed over joints and steps.
 
     Attributes:
-        lower: (n,) rad.
-        upper: (n,) rad.
-        margin: rad, kept from both limits.
+        lower: (n,) rad or m.
+        upper: (n,) rad or m.
+        margin: rad or m, kept from both limits by all joints, or by each (n,).
     """
 
     lower: FloatArray
     upper: FloatArray
-    margin: float = 0.0
+    margin: float | FloatArray = 0.0
 
     def __post_init__(self) -> None:
         lower, upper = np.asarray(self.lower, np.float64), np.asarray(self.upper, np.float64)
@@ -291,7 +291,12 @@ class JointLimitCost:
             raise ValueError(
                 f"lower and upper must have one shape (n,), got {lower.shape} and {upper.shape}"
             )
-        if not (self.margin >= 0.0 and (lower + self.margin < upper - self.margin).all()):
+        if np.shape(self.margin) not in ((), lower.shape):
+            raise ValueError(
+                f"margin must be a number or have shape {lower.shape}, got {self.margin}"
+            )
+        room = (lower + self.margin < upper - self.margin).all()
+        if not (np.min(self.margin) >= 0.0 and room):
             raise ValueError(
                 f"limits {lower} and {upper} with a margin of {self.margin} leave no room"
             )
@@ -327,7 +332,7 @@ class VelocityLimitCost:
     `fraction` of the limit, as a share of it.
 
     Attributes:
-        velocity: (n,) rad/s.
+        velocity: (n,) rad/s or m/s.
         duration: s.
         fraction: share of the limits that may be used.
     """

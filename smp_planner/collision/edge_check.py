@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from smp_gym.arrays import Float32Array, FloatArray, IntArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
-from smp_gym.robot.forward_kernels import chain, place, sine_cosine
+from smp_gym.robot.forward_kernels import link_poses, place
 from smp_gym.robot.kinematics import concatenate
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotArrays, RobotModel, jaco_of_spheres
@@ -114,12 +114,13 @@ def _measure(world, scratch, row):
     kept and not measured again.
     """
     robot = world.robot
-    sine_cosine(scratch.angles.ravel(), scratch.sine.ravel(), scratch.cosine.ravel())
-    chain(
-        scratch.sine,
-        scratch.cosine,
+    link_poses(
+        scratch.angles,
+        robot.prismatic,
         robot.base,
         robot.origins,
+        scratch.sine,
+        scratch.cosine,
         scratch.rotation,
         scratch.position,
     )
@@ -308,8 +309,10 @@ class EdgeChecker:
         return self._free(a, b)
 
     def _free(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
-        free = np.empty(len(starts), np.bool_)
-        _edges(self.world, starts, ends, free)
+        free, world = np.empty(len(starts), np.bool_), self.world
+        if self.robot.prismatic.any():
+            world = world._replace(robot=self.robot.arrays_along(np.stack([starts, ends])))
+        _edges(world, starts, ends, free)
         return free
 
     def _checked(self, name: str, value: ArrayLike) -> FloatArray:

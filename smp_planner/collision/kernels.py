@@ -111,18 +111,22 @@ def _load(trajectories, first, last, begin, angles):
 
 
 @kernel(fastmath=FAST, error_model="numpy", inline="always")
-def _chain(angles, turns, base, origins, frames):
-    """Write the pose of each link, as `smp_gym.robot.forward_kernels.chain`.
+def _chain(angles, turns, robot, frames):
+    """Write the pose of each link, as `smp_gym.robot.forward_kernels.link_poses`.
 
     Args:
-        angles: (n,LANES) rad.
-        turns: (2*n,LANES), written: sines, then cosines.
-        base: (4,4) pose of link 0.
-        origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero.
+        angles: (n,LANES) rad, or m of a prismatic joint.
+        turns: (2*n,LANES), written: sines, then cosines; of a prismatic joint those of 0.
+        robot: as of `RobotModel.single`.
         frames: (12*(n+1),LANES), written: of each link the rotation by rows, then the position.
     """
+    base, origins, prismatic = robot.base, robot.origins, robot.prismatic
     joints = angles.shape[0]
     _sine_cosine(angles.ravel(), turns[:joints].ravel(), turns[joints:].ravel())
+    for k in range(joints):
+        if prismatic[k]:
+            turns[k] = _ZERO
+            turns[joints + k] = _ONE
     for i in range(3):
         for t in range(LANES):
             frames[3 * i, t] = base[i, 0]
@@ -146,14 +150,23 @@ def _chain(angles, turns, base, origins, frames):
                 frames[at + 13 + 3 * i, t] = y * cosine - x * sine
                 frames[at + 14 + 3 * i, t] = a * xz + b * yz + c * zz
                 frames[at + 21 + i, t] = frames[at + 9 + i, t] + (a * xp + b * yp + c * zp)
+    for k in range(joints):
+        if prismatic[k]:
+            # All links beyond the joint move along its axis.
+            for link in range(k + 1, joints + 1):
+                for i in range(3):
+                    for t in range(LANES):
+                        along = frames[12 * k + 14 + 3 * i, t] * np.float32(angles[k, t])
+                        frames[12 * link + 9 + i, t] += along
 
 
 @kernel(fastmath=FAST, error_model="numpy", inline="always")
-def _project(frames, wrench, trajectories, first, last, begin, count, weight, gradient):
-    """Add the joint torques that forces and moments about the origin cause.
+def _project(frames, prismatic, wrench, trajectories, first, last, begin, count, weight, gradient):
+    """Add the joint torques, or forces, that forces and moments about the origin cause.
 
     Args:
         frames: from `_chain`.
+        prismatic: (n,) whether a joint is.
         wrench: (6*(n+1),LANES) force and moment on each link; overwritten by the sum over the links
             from it outwards.
         trajectories: of the configurations, as the next four of `_load`.
@@ -167,6 +180,17 @@ def _project(frames, wrench, trajectories, first, last, begin, count, weight, gr
     steps = last - first
     for k in range(trajectories.shape[2], 0, -1):
         at, on = 12 * k, 6 * k
+        if prismatic[k - 1]:
+            for t in range(LANES):
+                for i in range(6):
+                    wrench[on - 6 + i, t] += wrench[on + i, t]
+                # The force along the axis.
+                wrench[on, t] = (
+                    frames[at + 2, t] * wrench[on, t]
+                    + frames[at + 5, t] * wrench[on + 1, t]
+                    + frames[at + 8, t] * wrench[on + 2, t]
+                )
+            continue
         for t in range(LANES):
             fx, fy, fz = wrench[on, t], wrench[on + 1, t], wrench[on + 2, t]
             mx, my, mz = wrench[on + 3, t], wrench[on + 4, t], wrench[on + 5, t]
@@ -262,7 +286,7 @@ def map_collision(
     one = np.uint64(1)
     for begin in range(0, trajectories.shape[0] * (last - first), LANES):
         count = _load(trajectories, first, last, begin, angles)
-        _chain(angles, turns, robot.base, robot.origins, frames)
+        _chain(angles, turns, robot, frames)
         wrench[:] = _ZERO
         total[:] = _ZERO
         for s in range(link.shape[0]):
@@ -393,7 +417,18 @@ def map_collision(
                     wrench[on + 4, t] += z * fx - x * fz
                     wrench[on + 5, t] += x * fy - y * fx
                     total[t] += force[3, m]
-        _project(frames, wrench, trajectories, first, last, begin, count, weight, gradient)
+        _project(
+            frames,
+            robot.prismatic,
+            wrench,
+            trajectories,
+            first,
+            last,
+            begin,
+            count,
+            weight,
+            gradient,
+        )
         _add_values(total, last - first, begin, count, weight, value)
 
 
@@ -432,7 +467,7 @@ def self_collision(trajectories, robot, reach, edge_width, margin, weight, value
     floor *= floor
     for begin in range(0, trajectories.shape[0] * steps, LANES):
         count = _load(trajectories, 0, steps, begin, angles)
-        _chain(angles, turns, robot.base, robot.origins, frames)
+        _chain(angles, turns, robot, frames)
         wrench[:] = _ZERO
         total[:] = _ZERO
         for k in range(joints + 1):
@@ -527,7 +562,9 @@ def self_collision(trajectories, robot, reach, edge_width, margin, weight, value
                     wrench[6 * i + 3 + r, t] += acting[3 + r, m]
                     wrench[6 * j + 3 + r, t] -= acting[6 + r, m]
                 total[t] += acting[9, m]
-        _project(frames, wrench, trajectories, 0, steps, begin, count, weight, gradient)
+        _project(
+            frames, robot.prismatic, wrench, trajectories, 0, steps, begin, count, weight, gradient
+        )
         _add_values(total, steps, begin, count, weight, value)
 
 

@@ -20,7 +20,7 @@ from smp_gym.arrays import FloatArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry import registry
 from smp_gym.geometry.distance import PackedObstacles, to_local
-from smp_gym.robot.forward_kernels import chain, place, sine_cosine
+from smp_gym.robot.forward_kernels import link_poses, place
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import (
     CUTOFF_WIDTHS,
@@ -133,12 +133,13 @@ class Forecast:
 
 
 @kernel(fastmath=FAST)
-def _project(rotation, position, force, moment, gradient):
-    """Write the joint torques (n,T) that forces and moments about the origin cause.
+def _project(rotation, position, prismatic, force, moment, gradient):
+    """Write the joint torques (n,T), or forces, that forces and moments about the origin cause.
 
     Args:
-        rotation: (n+1,3,3,T), from `chain`.
-        position: (n+1,3,T) m, from `chain`.
+        rotation: (n+1,3,3,T), from `link_poses`.
+        position: (n+1,3,T) m, from `link_poses`.
+        prismatic: (n,) whether a joint is.
         force: (n+1,3,T) on each link; overwritten by the sum over the links from it outwards.
         moment: (n+1,3,T), likewise.
         gradient: (n,T), written.
@@ -160,6 +161,14 @@ def _project(rotation, position, force, moment, gradient):
             moment[k - 1, 0, t] += mx
             moment[k - 1, 1, t] += my
             moment[k - 1, 2, t] += mz
+    for k in range(1, joints + 1):
+        if prismatic[k - 1]:
+            for t in range(steps):
+                gradient[k - 1, t] = (
+                    rotation[k, 0, 2, t] * force[k, 0, t]
+                    + rotation[k, 1, 2, t] * force[k, 1, t]
+                    + rotation[k, 2, 2, t] * force[k, 2, t]
+                )
 
 
 @kernel(fastmath=FAST)
@@ -192,8 +201,16 @@ def _moving_collision(
     link, center, radius = robot.link, robot.center, robot.radius
     inv_width = 1.0 / edge_width
     for p in range(count):
-        sine_cosine(angles[p].ravel(), sine.ravel(), cosine.ravel())
-        chain(sine, cosine, robot.base, robot.origins, rotation, position)
+        link_poses(
+            angles[p],
+            robot.prismatic,
+            robot.base,
+            robot.origins,
+            sine,
+            cosine,
+            rotation,
+            position,
+        )
         force[:] = 0.0
         moment[:] = 0.0
         total = 0.0
@@ -237,7 +254,7 @@ def _moving_collision(
                 moment[k, 0, t] += y * gz - z * gy
                 moment[k, 1, t] += z * gx - x * gz
                 moment[k, 2, t] += x * gy - y * gx
-        _project(rotation, position, force, moment, gradient[p])
+        _project(rotation, position, robot.prismatic, force, moment, gradient[p])
         value[p] = total
 
 
@@ -333,8 +350,16 @@ def _clearance(
     at = np.empty(_MOST_HALVINGS + 2)
     gap = np.empty(_MOST_HALVINGS + 2)
     for p in range(count):
-        sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
-        chain(sine, cosine, robot.base, robot.origins, rotation, position)
+        link_poses(
+            trajectories[p],
+            robot.prismatic,
+            robot.base,
+            robot.origins,
+            sine,
+            cosine,
+            rotation,
+            position,
+        )
         place(rotation, position, robot.link, robot.center, placed)
         nearest = np.inf
         for t in range(counts[p]):
@@ -387,12 +412,13 @@ def _clearance(
                         for j in range(joints):
                             first = trajectories[p, j, t - 1]
                             angles[j, 0] = first + h * (trajectories[p, j, t] - first)
-                        sine_cosine(angles.ravel(), sine_between.ravel(), cosine_between.ravel())
-                        chain(
-                            sine_between,
-                            cosine_between,
+                        link_poses(
+                            angles,
+                            robot.prismatic,
                             robot.base,
                             robot.origins,
+                            sine_between,
+                            cosine_between,
                             rotation_between,
                             position_between,
                         )
@@ -459,7 +485,7 @@ def clearance_in_time(
         _clearance(
             np.ascontiguousarray(q.swapaxes(1, 2)),
             np.minimum((at <= until).sum(axis=1) + 1, q.shape[1]),
-            robot.arrays,
+            robot.arrays_along(q),
             (packed.shape, packed.rotation, packed.size, packed.bound),
             np.ascontiguousarray(forecast.positions(at)),
             np.ascontiguousarray(forecast.margins(at)),

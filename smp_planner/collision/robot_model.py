@@ -1,9 +1,9 @@
-"""The arm as the planner sees it: a chain of revolute joints and the spheres fixed to its links."""
+"""The arm as the planner sees it: a chain of joints and the spheres fixed to its links."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from smp_gym.arrays import FloatArray, IntArray, checked_array
+from smp_gym.arrays import BoolArray, FloatArray, IntArray, checked_array
 from smp_gym.robot import forward_kernels, kinematics
 from smp_gym.robot.kinematics import SphereSet
 
@@ -58,11 +58,12 @@ class RobotArrays(NamedTuple):
 
     Attributes:
         base: (4,4) pose of link 0.
-        origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero.
+        origins: (n,4,4) from link i to the frame of joint i + 1 at position zero.
+        prismatic: (n,) whether a joint is.
         link: (S,) link of each sphere; those on link 0 are not checked against obstacles.
         center: (S,3) m in the link's frame.
         radius: (S,) m.
-        lever: (S,n) m, no sphere is ever farther from the axis of a joint.
+        lever: (S,n) m/rad, or without unit of a prismatic joint; see `RobotModel.levers`.
         groups: (G,3), as in `LinkPairs`, like the next four.
         sizes: (G,).
         pairs: (M,2).
@@ -72,6 +73,7 @@ class RobotArrays(NamedTuple):
 
     base: FloatArray
     origins: FloatArray
+    prismatic: BoolArray
     link: IntArray
     center: FloatArray
     radius: FloatArray
@@ -87,8 +89,9 @@ class SingleArrays(NamedTuple):
     """Arrays of a robot in single precision, for the compiled loops of the costs.
 
     Attributes:
-        base: (4,4), as in `RobotArrays`, like the next four.
+        base: (4,4), as in `RobotArrays`, like the next five.
         origins: (n,4,4).
+        prismatic: (n,).
         link: (S,).
         center: (S,3) m.
         radius: (S,) m.
@@ -103,6 +106,7 @@ class SingleArrays(NamedTuple):
 
     base: NDArray[np.float32]
     origins: NDArray[np.float32]
+    prismatic: BoolArray
     link: IntArray
     center: NDArray[np.float32]
     radius: NDArray[np.float32]
@@ -116,18 +120,20 @@ class SingleArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A serial chain of n revolute joints, its limits, and S spheres around it.
+    """A serial chain of n revolute or prismatic joints, its limits, and S spheres around it.
 
     Attributes:
         base: (4,4) pose of link 0 in the base frame.
-        joint_origins: (n,4,4) from link i to the frame of joint i + 1 at angle zero; the joint
-            turns about that frame's z, and the turned frame is link i + 1.
+        joint_origins: (n,4,4) from link i to the frame of joint i + 1 at position zero; the joint
+            turns about that frame's z, or a prismatic one slides along it, and the moved frame is
+            link i + 1.
         end_effector: (4,4) end-effector frame in the last link.
-        lower: (n,) rad, joint limits.
-        upper: (n,) rad.
-        velocity: (n,) rad/s, joint velocity limits.
+        lower: (n,) rad, or m of a prismatic joint: joint limits.
+        upper: (n,) likewise.
+        velocity: (n,) rad/s or m/s, joint velocity limits.
         spheres: what must stay clear of obstacles; held objects belong to the last link.
         collision_pairs: (M,2) indices of spheres that must stay clear of each other.
+        prismatic: (n,) whether a joint is; by default none.
     """
 
     base: FloatArray
@@ -138,6 +144,7 @@ class RobotModel:
     velocity: FloatArray
     spheres: SphereSet
     collision_pairs: IntArray
+    prismatic: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
         n = len(self.joint_origins)
@@ -151,6 +158,12 @@ class RobotModel:
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, _finite(name, getattr(self, name), shape))
+        prismatic = np.array(self.prismatic, np.bool_)
+        if prismatic.shape == (0,):
+            prismatic = np.zeros(n, np.bool_)
+        if prismatic.shape != (n,):
+            raise ValueError(f"prismatic must have shape ({n},), got {prismatic.shape}")
+        object.__setattr__(self, "prismatic", prismatic)
         if not (self.lower < self.upper).all():
             raise ValueError(f"lower {self.lower} must be below upper {self.upper}")
         if not (self.velocity > 0).all():
@@ -179,8 +192,13 @@ class RobotModel:
 
     @property
     def endless(self) -> NDArray[np.bool_]:
-        """(n,) true for joints with a range of more than a turn."""
-        return np.asarray(self.upper - self.lower > 2 * np.pi)
+        """(n,) true for revolute joints with a range of more than a turn."""
+        return np.asarray((self.upper - self.lower > 2 * np.pi) & ~self.prismatic)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(n) units of the joints' positions, "rad" or "m"."""
+        return tuple("m" if slides else "rad" for slides in self.prismatic)
 
     @cached_property
     def link(self) -> IntArray:
@@ -228,17 +246,26 @@ class RobotModel:
 
     @cached_property
     def levers(self) -> FloatArray:
-        """(S,n) m: no sphere is ever farther from the axis of a joint; 0 if it is not moved.
+        """(S,n) m/rad: within the limits, no sphere is ever farther from the axis of a joint.
 
-        By the triangle inequality, from the sphere inwards.
+        By the triangle inequality, from the sphere inwards; 0 if the joint does not move it. A
+        prismatic joint moves by 1 m/m what is beyond it.
         """
+        return self._levers(np.maximum(np.abs(self.lower), np.abs(self.upper)))
+
+    def _levers(self, farthest: FloatArray) -> FloatArray:
+        """Return `levers` for prismatic joints that are at most so far (n,) from zero, m."""
         origins = self.joint_origins[:, :3, 3]
         lever = np.zeros((len(self.link), self.joints))
         for s, (link, center) in enumerate(zip(self.link, self.center, strict=True)):
             beyond = 0.0
             for joint in range(link - 1, -1, -1):
                 arm = center if joint == link - 1 else origins[joint + 1]
-                lever[s, joint] = math.hypot(arm[0], arm[1]) + beyond
+                if self.prismatic[joint]:
+                    lever[s, joint] = 1.0
+                    beyond += farthest[joint]
+                else:
+                    lever[s, joint] = math.hypot(arm[0], arm[1]) + beyond
                 beyond += float(np.linalg.norm(arm))
         return lever
 
@@ -249,6 +276,7 @@ class RobotModel:
         return RobotArrays(
             self.base,
             self.joint_origins,
+            self.prismatic,
             self.link,
             self.center,
             self.radius,
@@ -260,11 +288,27 @@ class RobotModel:
             pairs.ball_radius,
         )
 
+    def arrays_along(self, trajectories: FloatArray) -> RobotArrays:
+        """Return `arrays` with levers that hold along trajectories (P, T, n), whatever the limits.
+
+        Args:
+            trajectories: rad or m; prismatic joints may be beyond their limits.
+        """
+        slides = self.prismatic
+        if not slides.any() or not trajectories.size:
+            return self.arrays
+        farthest = np.maximum(np.abs(self.lower), np.abs(self.upper))
+        reached = np.abs(trajectories).max(axis=(0, 1))
+        if not (reached > farthest)[slides].any():
+            return self.arrays
+        return self.arrays._replace(lever=self._levers(np.maximum(farthest, reached)))
+
     @cached_property
     def least_gaps(self) -> FloatArray:
         """(M,) m, in the order of `link_pairs.pairs`: no posture brings the spheres nearer.
 
-        Minus infinity where that is not known: where more than two joints are between the links.
+        Minus infinity where that is not known: where more than two joints are between the links,
+        or one that is prismatic.
         The last joint before the outer sphere takes it round a circle, whose distance from a point
         is known; over the angle of a joint before that the least is found by steps, less what the
         inner sphere can come nearer between two of them.
@@ -276,7 +320,9 @@ class RobotModel:
         zero = np.zeros_like(angle)
         turned = np.stack([np.cos(angle), np.sin(angle), zero, -np.sin(angle), np.cos(angle), zero])
         turned = np.stack([*turned, zero, zero, zero + 1.0]).T.reshape(-1, 3, 3)
-        for g in np.flatnonzero((between == 1) | (between == 2)):
+        slides = np.append(0, np.cumsum(self.prismatic))
+        turned_only = np.diff(slides[self.link[pairs]], axis=1)[:, 0] == 0
+        for g in np.flatnonzero(((between == 1) | (between == 2)) & turned_only):
             inner, outer = pairs[g]
             first = self.joint_origins[self.link[inner]]
             # The inner sphere in the frame of the next joint, on which that turns backwards.
@@ -319,6 +365,7 @@ class RobotModel:
         return SingleArrays(
             self.base.astype(np.float32),
             self.joint_origins.astype(np.float32),
+            self.prismatic,
             self.link,
             self.center.astype(np.float32),
             self.radius.astype(np.float32),
@@ -343,11 +390,12 @@ class RobotModel:
         """Return where the hand carries a point, and the derivative with respect to the joints.
 
         Args:
-            configurations: (..., n) rad.
+            configurations: (..., n) rad or m.
             point: (3,) m, fixed in the end-effector frame.
 
         Returns:
-            (..., 3) m in the base frame, and (..., 3, n) m/rad.
+            (..., 3) m in the base frame, and (..., 3, n) m/rad, or without unit of a prismatic
+            joint.
 
         Raises:
             ValueError: wrong shape, or not finite.
@@ -356,11 +404,12 @@ class RobotModel:
         if q.ndim == 0 or q.shape[-1] != self.joints:
             raise ValueError(f"configurations must have shape (..., {self.joints}), got {q.shape}")
         _finite("configurations", q, q.shape)
-        angles = np.ascontiguousarray(q.reshape(-1, self.joints).T)
-        placed = np.empty((1, 3, angles.shape[1]))
-        jacobians = np.empty((3, self.joints, angles.shape[1]))
+        positions = np.ascontiguousarray(q.reshape(-1, self.joints).T)
+        placed = np.empty((1, 3, positions.shape[1]))
+        jacobians = np.empty((3, self.joints, positions.shape[1]))
         forward_kernels.carried_points(
-            angles,
+            positions,
+            self.prismatic,
             self.base,
             self.joint_origins,
             np.array([self.joints]),
@@ -378,11 +427,11 @@ class RobotModel:
         """Return the orientation of the hand, and the axes about which the joints turn it.
 
         Args:
-            configurations: (..., n) rad.
+            configurations: (..., n) rad or m.
 
         Returns:
             (..., 3, 3) from the end-effector frame to the base frame, and (..., 3, n) unit axes in
-            the base frame.
+            the base frame; zeros for prismatic joints, which turn nothing.
 
         Raises:
             ValueError: wrong shape, or not finite.
@@ -402,7 +451,7 @@ class RobotModel:
         the oracle of the compiled loops.
 
         Args:
-            configurations: (..., n) rad.
+            configurations: (..., n) rad or m.
         """
         q = configurations
         if q.ndim == 0 or q.shape[-1] != self.joints:
@@ -418,12 +467,14 @@ class RobotModel:
         pose = constant(self.base).expand(*q.shape[:-1], 4, 4)
         poses = [pose]
         for k in range(self.joints):
-            c, s = cosine[..., k], sine[..., k]
-            turn = torch.stack(
-                [c, -s, zero, zero, s, c, zero, zero, zero, zero, one, zero, zero, zero, zero, one],
+            c, s, d = cosine[..., k], sine[..., k], zero
+            if self.prismatic[k]:
+                c, s, d = one, zero, q[..., k]
+            moved = torch.stack(
+                [c, -s, zero, zero, s, c, zero, zero, zero, zero, one, d, zero, zero, zero, one],
                 dim=-1,
             ).reshape(*q.shape[:-1], 4, 4)
-            pose = pose @ constant(self.joint_origins[k]) @ turn
+            pose = pose @ constant(self.joint_origins[k]) @ moved
             poses.append(pose)
         return torch.stack(poses, dim=-3)
 
@@ -431,7 +482,7 @@ class RobotModel:
         """Return the centres (..., S, 3) m of all spheres in the base frame, by autograd.
 
         Args:
-            configurations: (..., n) rad.
+            configurations: (..., n) rad or m.
         """
         poses = self.link_transforms(configurations)
         poses = poses[..., torch.tensor(self.link, device=poses.device), :, :]

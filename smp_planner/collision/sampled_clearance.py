@@ -16,7 +16,7 @@ import numpy as np
 from smp_gym.arrays import FloatArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
-from smp_gym.robot.forward_kernels import chain, place, sine_cosine
+from smp_gym.robot.forward_kernels import link_poses, place
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import self_gap_of
@@ -43,8 +43,16 @@ def _clearances(trajectories, robot, obstacles, floor, enough, clearance):
     at = np.empty((spheres, 3))
     known = np.empty(spheres)
     for p in range(count):
-        sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
-        chain(sine, cosine, robot.base, robot.origins, rotation, position)
+        link_poses(
+            trajectories[p],
+            robot.prismatic,
+            robot.base,
+            robot.origins,
+            sine,
+            cosine,
+            rotation,
+            position,
+        )
         place(rotation, position, link, robot.center, placed)
         nearest = enough
         known[:] = -np.inf

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from smp_gym.arrays import BoolArray, FloatArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.geometry.distance import PackedObstacles, point_distance
-from smp_gym.robot.forward_kernels import chain, place, sine_cosine
+from smp_gym.robot.forward_kernels import link_poses, place
 from smp_gym.scene import Obstacle
 from smp_planner.collision.costs import VELOCITY_FRACTION, check_trajectories
 from smp_planner.collision.robot_model import RobotModel
@@ -187,8 +187,9 @@ def _check(
     gap = np.empty((_MOST_HALVINGS + 2, spheres))
     self_gap = np.empty(_MOST_HALVINGS + 2)
     for p in range(count):
-        sine_cosine(trajectories[p].ravel(), sine.ravel(), cosine.ravel())
-        chain(sine, cosine, base, origins, rotation, position)
+        link_poses(
+            trajectories[p], robot.prismatic, base, origins, sine, cosine, rotation, position
+        )
         place(rotation, position, link, center, placed)
         place(rotation, position, links, robot.ball_center, balls)
         nearest = np.inf
@@ -217,12 +218,13 @@ def _check(
                         for j in range(joints):
                             start, end = trajectories[p, j, before], trajectories[p, j, t]
                             angles[j, 0] = start + at[top] * (end - start)
-                        sine_cosine(angles.ravel(), sine_between.ravel(), cosine_between.ravel())
-                        chain(
-                            sine_between,
-                            cosine_between,
+                        link_poses(
+                            angles,
+                            robot.prismatic,
                             base,
                             origins,
+                            sine_between,
+                            cosine_between,
                             rotation_between,
                             position_between,
                         )
@@ -323,7 +325,7 @@ def check_collisions(
     clearance, self_free = np.empty(len(q)), np.empty(len(q), np.bool_)
     _check(
         np.ascontiguousarray(q.swapaxes(1, 2)),
-        robot.arrays,
+        robot.arrays_along(q),
         packed.arrays,
         grid_arrays(grid),
         tolerance,

@@ -107,6 +107,7 @@ def leave_one_out(
         Nats a number, of T_j * D numbers each.
     """
     least = min(factors)
+    assert isinstance(settings.smooth_std, float)
     base = settings.model_copy(update={"smooth_std": least * settings.smooth_std})
     found = []
     for index, left_out in enumerate(demonstrations):
@@ -135,9 +136,10 @@ def _likelihood(task: str, rule: str) -> float:
 @lru_cache(maxsize=4)
 def _policy(task: str, rule: str) -> PlannerPolicy:
     factors = RULES[rule]
-    least = min(factors)
+    least, usual = min(factors), _settings(task).smooth_std
+    assert isinstance(usual, float)
     own: dict[str, Any] = {
-        "smooth_std": least * _settings(task).smooth_std,
+        "smooth_std": least * usual,
         "widths": tuple(factor / least for factor in factors),
         "retries": 0,
     }

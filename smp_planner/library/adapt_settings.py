@@ -8,13 +8,17 @@ from pydantic import Field
 
 from smp_planner.planning.settings import PlanSettings
 
-__all__ = ["JOINT_SMOOTH_STD", "PATH_SMOOTH_STD", "AdaptSettings"]
+__all__ = ["JOINT_SMOOTH_STD", "PATH_SMOOTH_STD", "SLIDE_SMOOTH_SHARE", "AdaptSettings"]
 
 PATH_SMOOTH_STD = 0.1
 """Extents, standard deviation added to paths beside what the demonstrations teach."""
 
 JOINT_SMOOTH_STD = 0.2
-"""rad, likewise for the joints of a robot."""
+"""rad, likewise for the joints of a robot; m of prismatic ones, at most `SLIDE_SMOOTH_SHARE`."""
+
+SLIDE_SMOOTH_SHARE = 0.1
+"""Of the range of a prismatic joint: a rail of metres and a stroke of centimetres have no unit in
+which one number would do for both."""
 
 
 class AdaptSettings(PlanSettings):

@@ -39,7 +39,7 @@ class PointCloud:
     moving body itself must have been taken out.
 
     Attributes:
-        points: (N, 3) in the unit of the path; for a robot m, in the frame of its root link.
+        points: (N, 3) in the unit of the path; for a robot m, in its base frame.
         sensor: (3,) where the camera stood, or (N, 3) for each point its own, so that clouds of
             several cameras make one; same unit.
         thickness: depth of objects behind their surface, same unit; None takes `THICKNESS`.

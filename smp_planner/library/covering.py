@@ -98,6 +98,10 @@ def _cover_shape(shape: Shape, link: str, overshoot: float) -> FloatArray:
     """Return spheres (S, 4) that cover a shape, in its own frame."""
     if shape.kind == "sphere":
         return np.array([[0.0, 0.0, 0.0, float(shape.size[0])]])
+    if shape.kind == "capsule":
+        length, radius = shape.size.tolist()
+        where = f"the capsule of link {link!r}"
+        return _capsule(length, radius, overshoot, where, f" or, {_MILLIMETRES}")
     if shape.kind == "mesh":
         mesh = _mesh(shape, link)
     elif shape.kind == "box":
@@ -116,6 +120,29 @@ def _cover(mesh: Any, overshoot: float, where: str, advice: str = "") -> FloatAr
             f"{where}, {size_of(mesh.extents)}, is too large to be covered with "
             f"overshoot={overshoot:.3g} m, {error}: choose a larger overshoot{advice}"
         ) from error
+
+
+def _capsule(length: float, radius: float, overshoot: float, where: str, advice: str) -> FloatArray:
+    """Return spheres (S, 4) along the axis of a capsule, as few as the overshoot allows.
+
+    Spheres of radius r + e, a step d apart, hold all that is within r of the axis between them if
+    d²/4 + r² ≤ (r + e)²; with their centres on the axis they stand out by e.
+    """
+    outer, half = radius + overshoot, length / 2
+    step = 2.0 * math.sqrt(outer**2 - radius**2)
+    # The outermost spheres hold the balls that the capsule ends in.
+    last = max(half - overshoot, 0.0)
+    count = math.ceil(2.0 * last / step) + 1
+    if count > MOST_SPHERES:
+        raise ValueError(
+            f"{where}, {size_of(np.array([2 * radius, 2 * radius, length + 2 * radius]))}, is too "
+            f"large to be covered with overshoot={overshoot:.3g} m: choose a larger overshoot"
+            f"{advice}"
+        )
+    spheres = np.zeros((count, 4))
+    spheres[:, 2] = np.linspace(-last, last, count) if count > 1 else 0.0
+    spheres[:, 3] = outer if count > 1 else radius + half
+    return spheres
 
 
 def _prism(height: float, radius: float, overshoot: float) -> tuple[Any, float]:

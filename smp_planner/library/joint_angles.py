@@ -1,4 +1,4 @@
-"""Angles of a robot's joints: branches of continuous joints, and limits."""
+"""Positions of a robot's joints: branches of continuous joints, and limits."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ def unwrapped(demonstrations: Sequence[FloatArray], robot: Robot) -> tuple[Float
     changed: list[FloatArray] = []
     for number, given in enumerate(demonstrations):
         path = given.copy()
-        for joint, endless in enumerate(robot.continuous):
+        # What slides is as long as it is: no jump of it is a turn.
+        for joint in np.flatnonzero(~robot.model.prismatic).tolist():
+            endless = robot.continuous[joint]
             there = np.flatnonzero(np.isfinite(path[:, joint]))
             angles = path[there, joint]
             steps = np.abs(np.diff(angles))
@@ -82,7 +84,7 @@ class JointAngles:
 
     Attributes:
         robot: whose.
-        demonstrations: (T_j, n) rad; branches are those nearest to them.
+        demonstrations: (T_j, n) rad or m; branches are those nearest to them.
     """
 
     robot: Robot
@@ -101,16 +103,17 @@ class JointAngles:
                 beyond[:, np.flatnonzero(self.robot.continuous)] = -np.inf
             if np.nanmax(beyond) > LIMIT_TOLERANCE:
                 sample, joint = np.unravel_index(np.nanargmax(beyond), beyond.shape)
+                other = "millimetres" if model.prismatic[joint] else "degrees"
                 raise ValueError(
                     f"demonstrations[{number}] must keep the limits of joint "
                     f"{self._limits(int(joint))}, got {path[sample, joint]:.6g} at sample {sample}"
-                    ": are they in degrees, or the columns in another order?"
+                    f": are they in {other}, or the columns in another order?"
                 )
 
     def _limits(self, joint: int) -> str:
         model = self.robot.model
         lower, upper = model.lower[joint], model.upper[joint]
-        return f"{self.robot.joints[joint]!r}, [{lower:.6g}, {upper:.6g}] rad"
+        return f"{self.robot.joints[joint]!r}, [{lower:.6g}, {upper:.6g}] {model.units[joint]}"
 
     def placed(
         self, name: str, phase: float, lower: FloatArray, upper: FloatArray
@@ -122,8 +125,8 @@ class JointAngles:
         Args:
             name: what the user calls it.
             phase: at which it is passed.
-            lower: (n,) rad.
-            upper: (n,) rad; `lower` for a point.
+            lower: (n,) rad or m.
+            upper: (n,) rad or m; `lower` for a point.
 
         Raises:
             ValueError: no part of it is within the limits.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,17 +22,20 @@ samples, or from a path that was cut here, are no closer."""
 
 
 class JointPath:
-    """A path of n joints by its length, 0 to `length` (rad, the sum of its chords).
+    """A path of n joints by its length, 0 to `length`, the sum of its chords.
 
-    Along its length a path nowhere stands still, as it may along the phase.
+    Along its length a path nowhere stands still, as it may along the phase. It is in rad, or in m
+    if all joints are prismatic; where both occur, a metre counts as much as a radian.
 
     Args:
-        path: (T, n) rad, T ≥ 2, at equal steps of phase. Where samples lie much closer than
+        path: (T, n) rad or m, T ≥ 2, at equal steps of phase. Where samples lie much closer than
             elsewhere, some are left out.
         dimension: n.
+        units: (n) of its joints, "rad" or "m"; "rad" for all by default.
 
     Attributes:
-        samples: (K, n) rad, those that are gone through.
+        unit: of velocities along it but for the second, for messages.
+        samples: (K, n) rad or m, those that are gone through.
         knots: (K,) rad, the length up to each of them.
         phases: (K,) the phase of each of them.
         spline: of the samples over their knots.
@@ -40,7 +44,8 @@ class JointPath:
         ValueError: no such array, or all samples are the same.
     """
 
-    def __init__(self, path: Any, dimension: int) -> None:
+    def __init__(self, path: Any, dimension: int, units: Sequence[str] = ("rad",)) -> None:
+        self.unit = " and ".join(sorted(set(units), reverse=True))
         path = checked_array("path", path, (None, dimension))
         if len(path) < 2 or not (path != path[0]).any():
             raise ValueError("path must have at least two samples that differ")
@@ -79,7 +84,8 @@ class JointPath:
 
         Args:
             name: of the argument, for the message.
-            velocity: rad/s, of the joints (n,), or its norm.
+            velocity: rad/s or m/s, of the joints (n,), or its norm; where both units occur, only 0
+                is a norm.
             end: whether it is that of the end.
 
         Raises:
@@ -88,7 +94,13 @@ class JointPath:
         tangent = self.tangent(end=end)
         norm = float(np.linalg.norm(tangent))
         if np.ndim(velocity) == 0:
-            return checked_number(name, velocity, least=0.0) / norm
+            speed = checked_number(name, velocity, least=0.0) / norm
+            if speed > 0.0 and " and " in self.unit:
+                raise ValueError(
+                    f"{name} must be 0 or have {len(tangent)} entries for joints in {self.unit}, "
+                    f"got {shown(velocity)}"
+                )
+            return speed
         given = checked_array(name, velocity, (len(tangent),))
         speed = float(given @ tangent) / norm**2
         if np.linalg.norm(given - speed * tangent) > _ASIDE * np.linalg.norm(given) or speed < 0.0:

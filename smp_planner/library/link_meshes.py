@@ -78,6 +78,8 @@ def _body(shape: Shape, link: int) -> Any:
         mesh = trimesh.creation.box(extents=size)
     elif shape.kind == "cylinder":
         mesh = trimesh.creation.cylinder(height=size[0], radius=size[1], sections=32)
+    elif shape.kind == "capsule":
+        mesh = trimesh.creation.capsule(height=size[0], radius=size[1])
     else:
         mesh = trimesh.creation.icosphere(subdivisions=3, radius=size[0])
     mesh.apply_transform(shape.origin)

@@ -31,9 +31,9 @@ class MotionLimits:
     """What a motion of n joints along a path must keep.
 
     Attributes:
-        velocity: (n,) rad/s.
-        acceleration: (n,) rad/s².
-        jerk: (n,) rad/s³; None leaves it unlimited.
+        velocity: (n,) rad/s or m/s.
+        acceleration: (n,) rad/s² or m/s².
+        jerk: (n,) rad/s³ or m/s³; None leaves it unlimited.
         start_speed: rate of the length where the path begins, rad/s.
         end_speed: where it ends, likewise.
         pace: s, see `TimingSettings`; None sets none.
@@ -105,9 +105,10 @@ def refused_speeds(
     between = f"of at most {norm * most:.4g}"
     if norm * least > 1e-3:
         between = f"from {norm * least:.4g} to {norm * most:.4g}"
-    other = "" if end else f", and an end_velocity of {_end_norm(path, limits):.4g} rad/s"
+    unit = " and ".join(f"{name}/s" for name in path.unit.split(" and "))
+    other = "" if end else f", and an end_velocity of {_end_norm(path, limits):.4g} {unit}"
     return ValueError(
-        f"{name} must have a norm {between} rad/s for this path and these limits{other}, got "
+        f"{name} must have a norm {between} {unit} for this path and these limits{other}, got "
         f"{norm * given:.4g}"
     )
 

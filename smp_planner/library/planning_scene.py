@@ -48,7 +48,8 @@ class PlanningScene:
     Made by `PlanningScene.load`.
 
     Attributes:
-        obstacles: (N) bodies, m, in the frame of the robot's root link.
+        obstacles: (N) bodies, m, in the robot's base frame: that of its root link, or the one in
+            which `Robot.from_urdf` was given the pose of that.
         names: (N) of the collision object that each is of.
         start: positions, rad or m, by joint; None if none is given. `Robot.configuration` puts
             them into the robot's order.
@@ -118,13 +119,13 @@ class PlanningScene:
                 fields of ``moveit_msgs/PlanningScene``, as MotionBenchMaker has it.
             request: of YAML with the fields of ``moveit_msgs/MotionPlanRequest``; None reads start
                 and goals from the scene's file, if it has any.
-            robot: whose links that do not move are frames of known places, and whose root link
+            robot: whose links that do not move are frames of known places, and whose base frame
                 is "world", the frame of bodies that name none. Goals of a pose need it, and are of
                 its tip or of links that move as that does. Attached objects and the matrix need it,
                 too.
-            frames: position (3,) m and quaternion (4,) x, y, z, w, in the robot's root link, of
+            frames: position (3,) m and quaternion (4,) x, y, z, w, in the robot's base frame, of
                 other frames by name. Frames that the file itself places in others follow these.
-                With neither robot nor frames the one frame of the file is taken for the root link.
+                With neither robot nor frames the one frame of the file is taken for the base frame.
             cell: m, size of the pieces of a mesh that each get a sphere.
             overshoot: m, by which cylinders stand out of a cone at most.
             held_overshoot: m, by which spheres stand out of what the robot holds at most

@@ -34,7 +34,7 @@ def goal_regions(
 
     Args:
         goal: as read.
-        frames: poses in the root link of the frames that it names.
+        frames: poses in the base frame of the frames that it names.
         robot: whose tool it is.
 
     Raises:
@@ -86,7 +86,7 @@ def _orientation(asked: OrientationGoal, turn: Rotation, link: Rotation) -> Tool
 
     Args:
         asked: of the link.
-        turn: of the link that is asked for, in the root link's frame.
+        turn: of the link that is asked for, in the base frame.
         link: rotation of the link in the tip's frame.
     """
     x, y, z = asked.tolerances.tolist()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import shown
@@ -40,7 +41,7 @@ def frame_poses(
     given: Mapping[str, Pose],
     robot: Robot | None,
 ) -> dict[str, Pose]:
-    """Return where frames are in the robot's root link.
+    """Return where frames are in the robot's base frame.
 
     Args:
         names: of the frames.
@@ -55,12 +56,15 @@ def frame_poses(
         raise ValueError(f"frames must be of {', '.join(sorted(known))}, got {', '.join(unknown)}")
     placed = dict(given)
     for name, pose in {} if robot is None else robot.base_links.items():
+        # A root link of that name which stands elsewhere is not what files call the world.
+        if name == WORLD and not np.array_equal(pose, np.eye(4)):
+            continue
         placed.setdefault(name, Pose(Rotation.from_matrix(pose[:3, :3]), pose[:3, 3]))
     above = {name: pose_above(name, fixed, placed) for name in dict.fromkeys(names)}
     left = sorted({top for top, _ in above.values()} - set(placed))
     if left and (given or len(left) > 1 or (robot is not None and left != [WORLD])):
         raise ValueError(
-            f"frames must say where {' and '.join(left)} are in the robot's root link, got "
+            f"frames must say where {' and '.join(left)} are in the robot's base frame, got "
             f"{', '.join(given) or 'none'}"
         )
     return {

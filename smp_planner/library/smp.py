@@ -31,7 +31,12 @@ from smp_gym.arrays import (
 )
 from smp_planner.adaptation import Adaptation, adaptation
 from smp_planner.collision.verification import minimum_duration
-from smp_planner.library.adapt_settings import JOINT_SMOOTH_STD, PATH_SMOOTH_STD, AdaptSettings
+from smp_planner.library.adapt_settings import (
+    JOINT_SMOOTH_STD,
+    PATH_SMOOTH_STD,
+    SLIDE_SMOOTH_SHARE,
+    AdaptSettings,
+)
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
@@ -155,7 +160,7 @@ class SMP:
             demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in any one unit, samples
                 at equal steps of phase; or a `.npz` or `.csv` file, or a list of such, see
                 `smp_planner.library.reading`.
-            robot: of whose joints, rad, they are; None for paths in the plane or in space.
+            robot: of whose joints, rad or m, they are; None for paths in the plane or in space.
             signals: names of columns of `.csv` files that are no coordinates, such as the opening
                 of a gripper; or by name N arrays (T_j,). They are no part of what is learned, and
                 go with its plans as functions of phase: what has two values in all demonstrations
@@ -163,7 +168,7 @@ class SMP:
             durations: (N,) s, of the demonstrations; by default those of the times in `.csv` files,
                 if all have them.
             **settings: see `PriorSettings`; `smooth_std` is 0.1 extents by default, and 0.2 rad for
-                a robot.
+                a robot. Of a prismatic joint it is a tenth of the range, at most 0.2 m.
 
         Raises:
             FileNotFoundError: no such file.
@@ -172,10 +177,9 @@ class SMP:
                 point, more modes than there are demonstrations for, or a signal that is missing or
                 switches in one demonstration otherwise than in another.
         """
-        smooth_std = PATH_SMOOTH_STD if robot is None else JOINT_SMOOTH_STD
-        learning = PriorSettings(**{"smooth_std": smooth_std, **settings})
         if robot is not None and not isinstance(robot, Robot):
             raise ValueError(f"robot must be a Robot, got {shown(robot)}")
+        learning = PriorSettings(**{"smooth_std": _smooth_std(robot), **settings})
         joints = None if robot is None else robot.joints
         given, recorded = recordings_of(
             demonstrations,
@@ -251,8 +255,8 @@ class SMP:
         """Return particles of the primitive, adapted to a scene.
 
         Each of the demonstrations' modes keeps its share of the particles. Positions and lengths
-        are in the unit of the demonstrations; for a robot, obstacles are in metres in the frame of
-        its root link.
+        are in the unit of the demonstrations; for a robot, obstacles are in metres in its base
+        frame (`Robot.from_urdf`).
 
         Args:
             obstacles: `Circle`s and `Rectangle`s in the plane; in space and for a robot
@@ -290,8 +294,8 @@ class SMP:
             ValueError: an argument out of range, of another dimension than the demonstrations, or
                 contradicting another; more exact places than basis functions, or such that swing
                 the path far out between them; a start, goal or via-point beyond a joint's limits
-                by more than 1e-6 rad; a start, goal or via-point inside an obstacle; or a place
-                of the tool that the robot does not reach, or not with its orientation.
+                by more than 1e-6 rad or m; a start, goal or via-point inside an obstacle; or a
+                place of the tool that the robot does not reach, or not with its orientation.
         """
         begin = time.perf_counter()
         settings = AdaptSettings() if settings is None else settings
@@ -440,6 +444,17 @@ def _display_of(robot: Robot | None, demonstrations: Sequence[FloatArray]) -> di
         "model": robot.model,
         "meshes": partial(link_meshes, robot),
     }
+
+
+def _smooth_std(robot: Robot | None) -> float | tuple[float, ...]:
+    """Return the standard deviation that is added by default, of all coordinates or of each."""
+    if robot is None:
+        return PATH_SMOOTH_STD
+    model = robot.model
+    if not model.prismatic.any():
+        return JOINT_SMOOTH_STD
+    share = np.minimum(SLIDE_SMOOTH_SHARE * (model.upper - model.lower), JOINT_SMOOTH_STD)
+    return tuple(np.where(model.prismatic, share, JOINT_SMOOTH_STD).tolist())
 
 
 def _frame(demonstrations: Sequence[FloatArray], robot: Robot | None) -> Frame:

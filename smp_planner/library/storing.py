@@ -54,6 +54,7 @@ def write_primitive(
     if robot is not None:
         arrays["joints"] = np.array(json.dumps(robot.joints))
         arrays["continuous"] = np.array(robot.continuous)
+        arrays["prismatic"] = robot.model.prismatic
         arrays["standing"] = np.array(json.dumps(dict(robot.standing)))
         arrays["bodies"] = np.array(json.dumps(robot.bodies))
         arrays["held"] = np.array(json.dumps(robot.held))
@@ -93,6 +94,8 @@ def read_primitive(
                     **{name: arrays[f"robot_{name}"] for name in _CHAIN},
                     spheres=SphereSet(*(arrays[f"spheres_{name}"] for name in _SPHERES)),
                     collision_pairs=np.empty((0, 2), np.int64),
+                    # Files of before hold revolute joints only.
+                    prismatic=arrays.get("prismatic", np.zeros(len(joints), np.bool_)),
                 ),
                 tuple(str(joint) for joint in joints),
                 tuple(bool(entry) for entry in arrays["continuous"]),

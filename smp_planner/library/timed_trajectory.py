@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,9 +61,9 @@ class TimedTrajectory:
     Attributes:
         joints: (n) names of the joints.
         times: (N,) s, from 0.
-        positions: (N, n) rad.
-        velocities: (N, n) rad/s.
-        accelerations: (N, n) rad/s².
+        positions: (N, n) rad, or m of a prismatic joint.
+        velocities: (N, n) rad/s or m/s.
+        accelerations: (N, n) rad/s² or m/s².
         phases: (N,) of the path.
         signals: (N,) by name.
         events: where signals switch after the start, in the order of time, exact between samples.
@@ -158,6 +158,7 @@ def timed(
     path: FloatArray,
     acceleration: Any,
     settings: TimingSettings,
+    units: Sequence[str] = ("rad",),
 ) -> TimedTrajectory:
     """Return the fastest motion along a path.
 
@@ -167,11 +168,13 @@ def timed(
 
     Args:
         joints: (n) their names.
-        velocity: (n,) rad/s, their limits.
-        path: (T, n) rad, T ≥ 2, such as `Plan.best`. Where samples lie much closer than elsewhere,
-            some are left out.
-        acceleration: rad/s², limit of all joints or of each (n,).
+        velocity: (n,) rad/s or m/s, their limits.
+        path: (T, n) rad or m, T ≥ 2, such as `Plan.best`. Where samples lie much closer than
+            elsewhere, some are left out.
+        acceleration: rad/s² or m/s², limit of all joints or of each (n,); of each, if both units
+            occur.
         settings: all else.
+        units: (n) of the joints, "rad" or "m"; "rad" for all by default.
 
     Raises:
         ModuleNotFoundError: the package `toppra` is not installed; with `jerk` it is not needed.
@@ -179,11 +182,11 @@ def timed(
             not along the path or beyond what the limits allow, or `duration` is too short, or too
             long for them; the message says what is allowed.
     """
-    curve = JointPath(path, len(joints))
+    curve = JointPath(path, len(joints), units)
     limits = MotionLimits(
         velocity,
-        _limits("acceleration", acceleration, len(joints)),
-        None if settings.jerk is None else _limits("jerk", settings.jerk, len(joints)),
+        _limits("acceleration", acceleration, len(joints), units),
+        None if settings.jerk is None else _limits("jerk", settings.jerk, len(joints), units),
         curve.speed("start_velocity", settings.start_velocity, end=False),
         curve.speed("end_velocity", settings.end_velocity, end=True),
         settings.pace,
@@ -206,7 +209,12 @@ def timed(
     )
 
 
-def _limits(name: str, given: Any, dimension: int) -> FloatArray:
+def _limits(name: str, given: Any, dimension: int, units: Sequence[str]) -> FloatArray:
+    if np.ndim(given) == 0 and len(set(units)) > 1:
+        raise ValueError(
+            f"{name} must have one entry for each joint, in the units {', '.join(units)} by the "
+            f"second, got {shown(given)}"
+        )
     limits = checked_array(name, given, (dimension,) if np.ndim(given) else ())
     if not (limits > 0.0).all():
         raise ValueError(f"{name} must be above 0, got {shown(given)}")

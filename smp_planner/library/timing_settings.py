@@ -17,7 +17,8 @@ class TimingSettings:
     """How a path is gone through in time.
 
     Attributes:
-        jerk: rad/s³, limit of all joints or of each (n,); None leaves it unlimited, and the
+        jerk: rad/s³ or m/s³, limit of all joints or of each (n,); of each, if some joints are
+            revolute and others prismatic. None leaves it unlimited, and the
             acceleration jumps. With it, the motion begins and ends with no acceleration along the
             path.
         rate: samples in a second. Where `duration` is no whole number of them, they stand a little
@@ -26,8 +27,9 @@ class TimingSettings:
             its square and jerks to its cube, so that the motion is the same but slower. Velocities
             at the ends stay as they are.
         duration: s, of the whole motion; by default the shortest that is a whole number of samples.
-        start_velocity: rad/s, where the path begins: of the joints (n,), along the path, or its
-            norm. What is across the path, 2 % at most, is dropped.
+        start_velocity: rad/s or m/s, where the path begins: of the joints (n,), along the path, or
+            its norm, if all joints are revolute or all prismatic. What is across the path, 2 % at
+            most, is dropped.
         end_velocity: where it ends, likewise.
         pace: s, such as the mean of `SMP.durations`: the motion is nowhere faster than if the
             samples of the path stood at equal steps of time in this duration. It is slower where

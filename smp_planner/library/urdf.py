@@ -1,7 +1,9 @@
 """A robot from its URDF: the chain of moving joints to a tip, its limits, spheres around its links.
 
-The chain of `RobotModel` turns about the z axes of its frames; a joint with another axis gets a
-frame that is turned so. Its base frame is that of the URDF's root link. Metres and radians.
+The joints of `RobotModel` turn about the z axes of its frames or, prismatic ones, slide along them;
+a joint with another axis gets a frame that is turned so. The base frame, in which obstacles and
+places of the tool are, is that of the URDF's root link, unless a pose of that in another is given.
+Metres and radians.
 """
 
 from __future__ import annotations
@@ -12,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from smp_gym.arrays import BoolArray, FloatArray, checked_array, checked_number, shown
+from smp_gym.geometry.pose import checked_pose
 from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel
@@ -33,18 +37,19 @@ _STANDING = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A serial chain of revolute joints with spheres around its links.
+    """A serial chain of revolute and prismatic joints with spheres around its links.
 
     Made by `Robot.from_urdf`.
 
     Attributes:
         model: the chain; its `collision_pairs` are left to `SMP.fit`, which sees from the
             demonstrations what may come near to what.
-        joints: (n) names of its joints, in the order of a configuration's coordinates.
+        joints: (n) names of its joints, in the order of a configuration's coordinates, which are
+            rad, or m of a prismatic joint (`units`).
         continuous: (n) whether a turn of 2 pi changes nothing about a joint; none by default.
         standing: where other joints stand, rad or m, by name: those held, those that mimic them,
             and those beside the chain. Fixed ones are left out.
-        base_links: (4, 4) poses in the root link of all links that do not move, by name.
+        base_links: (4, 4) poses in the base frame of all links that do not move, by name.
         visuals: what is seen of it, shapes with the number of the link of `model` that each is
             fixed to; of links without visual shapes, or with one that cannot be read, it is the
             collision shapes. Files of `SMP.save` do not hold them.
@@ -97,6 +102,7 @@ class Robot:
         packages: Mapping[str, str | Path] | None = None,
         srdf: str | Path | None = None,
         touching: Iterable[tuple[str, str]] = (),
+        base: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> Robot:
         """Read the chain from the root link to a tip.
 
@@ -113,20 +119,23 @@ class Robot:
             overshoot: m, largest distance of a point of a sphere from the collision shape that it
                 covers. The smaller, the more spheres: half of it asks for about three times as
                 many.
-            limits: (lower, upper), rad, by joint, in place of those of the file.
-            velocities: limits of velocity, rad/s, by joint, likewise.
+            limits: (lower, upper), rad or m, by joint, in place of those of the file.
+            velocities: limits of velocity, rad/s or m/s, by joint, likewise.
             bodiless: links that move and are known to have no body. Others that have a visual
                 shape must have a collision shape, and each joint must move at least one.
             packages: folders by the name of the package, in which meshes may lie, too.
             srdf: semantic description, whose disabled collisions are pairs of links that may touch.
             touching: more such pairs, by their names.
+            base: position (3,) m and quaternion (4,) x, y, z, w of the root link in the frame in
+                which obstacles, clouds, goals of the tool and planning scenes are, such as that of
+                the room; None takes the root link's own.
 
         Raises:
             FileNotFoundError: no such file, or a mesh is missing.
             ValueError: not a URDF, no such link or joint, no moving joint on the chain, a joint of
-                the chain that is neither revolute, continuous, fixed nor held or has no limits, a
-                link without body, or more than `covering.MOST_SPHERES` spheres; the message names
-                joint or link, and attribute.
+                the chain that is neither revolute, continuous, prismatic, fixed nor held or has no
+                limits, a link without body, or more than `covering.MOST_SPHERES` spheres; the
+                message names joint or link, and attribute.
         """
         overshoot = checked_number("overshoot", overshoot, above=0.0)
         description = read_description(path, packages)
@@ -141,13 +150,19 @@ class Robot:
         allowed = checked_pairs(touching, links.keys())
         if srdf is not None:
             allowed |= read_touching(srdf, links.keys())
-        robot = _assembled(description, joints, positions, moving, tip, overshoot, bodiless)
+        pose = _checked_base(base)
+        robot = _assembled(description, joints, positions, moving, tip, overshoot, bodiless, pose)
         return replace(robot, touching=allowed)
 
     @property
     def dimension(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(n) units of a configuration's coordinates, "rad" or "m"."""
+        return self.model.units
 
     @property
     def links(self) -> frozenset[str]:
@@ -246,13 +261,13 @@ class Robot:
         return mask
 
     def tool_positions(self, configurations: FloatArray) -> FloatArray:
-        """Return where the tool is, (..., 3) m, in configurations (..., n) rad."""
+        """Return where the tool is, (..., 3) m, in configurations (..., n) rad or m."""
         return self.model.carried_points(configurations, np.zeros(3))[0]
 
     def tool_quaternions(self, configurations: FloatArray) -> FloatArray:
-        """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad.
+        """Return how the tool is turned, x, y, z, w (..., 4), in configurations (..., n) rad or m.
 
-        From the tip's frame to that of the root link.
+        From the tip's frame to the base frame.
         """
         rotations = self.model.tool_rotations(configurations)[0]
         flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
@@ -261,7 +276,7 @@ class Robot:
     def configuration(
         self, positions: Mapping[str, float], *, ignored: Iterable[str] = ()
     ) -> FloatArray:
-        """Return the configuration (n,) rad of joints that are given by name, in any order.
+        """Return the configuration (n,) rad or m of joints that are given by name, in any order.
 
         Args:
             positions: rad or m. Those of joints that do not move must be where these stand, up to
@@ -310,13 +325,31 @@ class Robot:
         """Return the fastest motion along a path, see `timed_trajectory.timed`.
 
         Args:
-            path: (T, n) rad, T ≥ 2, such as `Plan.best`.
-            acceleration: rad/s², limit of all joints or of each (n,).
+            path: (T, n) rad or m, T ≥ 2, such as `Plan.best`.
+            acceleration: rad/s² or m/s², limit of all joints or of each (n,); of each, if some
+                joints are revolute and others prismatic.
             **settings: see `TimingSettings`.
         """
         return timed(
-            self.joints, self.model.velocity, path, acceleration, TimingSettings(**settings)
+            self.joints,
+            self.model.velocity,
+            path,
+            acceleration,
+            TimingSettings(**settings),
+            self.units,
         )
+
+
+def _checked_base(base: Any) -> FloatArray:
+    """Return the pose (4, 4) of the root link."""
+    pose = np.eye(4)
+    if base is None:
+        return pose
+    if not isinstance(base, tuple | list) or len(base) != 2:
+        raise ValueError(f"base must be a position and a quaternion, got {shown(base)}")
+    given = checked_pose(*base, where="base: ")
+    pose[:3, :3], pose[:3, 3] = given.rotation.as_matrix(), given.position
+    return pose
 
 
 def _named(name: str, given: Any, joints: Mapping[str, Joint]) -> dict[str, Any]:
@@ -404,17 +437,18 @@ def _check_moving(chain: Sequence[Joint], tip: str) -> None:
     if not chain:
         raise ValueError(f"tip {tip!r} must be moved by at least one joint, got none")
     for joint in chain:
-        if joint.kind not in ("revolute", "continuous"):
+        if joint.kind not in ("revolute", "continuous", "prismatic"):
             raise ValueError(
-                f"joint {joint.name!r} in the chain to {tip!r} is {joint.kind}; only revolute and "
-                f"continuous joints can be planned for, others must be held"
+                f"joint {joint.name!r} in the chain to {tip!r} is {joint.kind}; only revolute, "
+                f"continuous and prismatic joints can be planned for, others must be held"
             )
         numbers = (joint.lower, joint.upper, joint.velocity)
         if not (np.isfinite(numbers).all() and joint.lower < joint.upper and joint.velocity > 0.0):
+            unit = "m" if joint.kind == "prismatic" else "rad"
             raise ValueError(
                 f"joint {joint.name!r} must have a range and a velocity limit, got "
-                f"[{joint.lower}, {joint.upper}] rad and {joint.velocity} rad/s; others can be "
-                f"given as limits={{{joint.name!r}: (lower, upper)}} and "
+                f"[{joint.lower}, {joint.upper}] {unit} and {joint.velocity} {unit}/s; others can "
+                f"be given as limits={{{joint.name!r}: (lower, upper)}} and "
                 f"velocities={{{joint.name!r}: velocity}}"
             )
 
@@ -455,6 +489,7 @@ def _assembled(
     tip: str,
     overshoot: float,
     bodiless: Any,
+    base: FloatArray,
 ) -> Robot:
     links = description.links
     children: dict[str, list[Joint]] = {name: [] for name in links}
@@ -492,7 +527,7 @@ def _assembled(
         spheres.append(np.column_stack([centers, cover[:, 3]]))
     data = np.concatenate(spheres)
     model = RobotModel(
-        base=np.eye(4),
+        base=base,
         joint_origins=origins,
         end_effector=placed[tip][1],
         lower=np.array([joint.lower for joint in chain]),
@@ -500,6 +535,7 @@ def _assembled(
         velocity=np.array([joint.velocity for joint in chain]),
         spheres=SphereSet(np.array(link, np.int64), data[:, :3], data[:, 3]),
         collision_pairs=np.empty((0, 2), np.int64),
+        prismatic=np.array([joint.kind == "prismatic" for joint in chain]),
     )
     names = tuple(joint.name for joint in chain)
     standing = {
@@ -507,7 +543,7 @@ def _assembled(
         for name, position in positions.items()
         if position is not None and not joints[name].is_fixed
     }
-    base_links = {name: pose for name, (index, pose) in placed.items() if index == 0}
+    base_links = {name: base @ pose for name, (index, pose) in placed.items() if index == 0}
     continuous = tuple(joint.kind == "continuous" for joint in chain)
     visuals = tuple(
         (index, replace(shape, origin=pose @ shape.origin))

@@ -85,10 +85,11 @@ class Shape:
     """A collision or visual shape of a link.
 
     Attributes:
-        kind: "box", "cylinder", "sphere" or "mesh".
+        kind: "box", "cylinder", "capsule", "sphere" or "mesh".
         origin: (4, 4) pose in the link.
-        size: m: lengths of a box, length and radius of a cylinder, radius of a sphere; the scale
-            of a mesh.
+        size: m: lengths of a box, length and radius of a cylinder or a capsule, whose length is
+            that of its axis between the centres of its round ends; radius of a sphere; the scale of
+            a mesh.
         mesh: file of a mesh.
     """
 
@@ -341,10 +342,13 @@ def _shape(collision: ET.Element, where: str, folders: _Folders) -> Shape:
     sizes = {
         "box": (("size", 3),),
         "cylinder": (("length", 1), ("radius", 1)),
+        "capsule": (("length", 1), ("radius", 1)),
         "sphere": (("radius", 1),),
     }
     if shape.tag not in sizes:
-        raise ValueError(f"{where} must be box, cylinder, sphere or mesh, got <{shape.tag}>")
+        raise ValueError(
+            f"{where} must be box, cylinder, capsule, sphere or mesh, got <{shape.tag}>"
+        )
     given = [_positive(shape, attribute, count, where) for attribute, count in sizes[shape.tag]]
     return Shape(shape.tag, origin, np.concatenate(given))
 

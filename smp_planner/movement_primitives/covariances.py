@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
-from smp_gym.arrays import checked_number
+from smp_gym.arrays import FloatArray, checked_array, checked_number
 from smp_planner.movement_primitives.basis import GaussianBasis
 
 __all__ = [
     "checked_covariance",
+    "checked_std",
     "orthogonal_columns",
     "rounding",
     "smooth_covariance",
@@ -23,20 +26,20 @@ __all__ = [
 def smooth_covariance(
     basis: GaussianBasis,
     dimension: int,
-    std: float,
+    std: float | ArrayLike,
     length_scale: float,
     like: Tensor | None = None,
 ) -> Tensor:
-    """Return a covariance of weights that is smooth along the phase and equal in all dimensions.
+    """Return a covariance of weights that is smooth along the phase.
 
     Weights of one dimension covary as exp(-(c - c')² / (2 ℓ²)) with the distance of their centres;
     weights of different dimensions do not. The scale is such that a trajectory at phase 1/2 has the
-    standard deviation `std` in every dimension.
+    standard deviation `std`.
 
     Args:
         basis: K basis functions.
         dimension: D.
-        std: of the trajectory, in its unit; 0 or more.
+        std: of the trajectory, in its unit; 0 or more. Of every dimension, or of each (D,).
         length_scale: ℓ, in phase.
         like: gives dtype and device (default: float64 on CPU).
 
@@ -44,17 +47,39 @@ def smooth_covariance(
         (K*D, K*D), positive semi-definite.
 
     Raises:
-        ValueError: `std` is negative or `length_scale` is not positive.
+        ValueError: `std` is negative or of another shape, or `length_scale` is not positive.
     """
-    std = checked_number("std", std, least=0.0)
+    std = checked_std("std", std, dimension)
     length_scale = checked_number("length_scale", length_scale, above=0.0)
     centers = basis.centers(like)
     distance = (centers[:, None] - centers) / length_scale
     along_phase = torch.exp(-0.5 * distance.square())
     middle = basis.values(centers.new_tensor(0.5))
-    along_phase = along_phase * (std**2 / (middle @ along_phase @ middle))
     identity = torch.eye(dimension, dtype=centers.dtype, device=centers.device)
-    return torch.kron(along_phase, identity)
+    if isinstance(std, float):
+        along_phase = along_phase * (std**2 / (middle @ along_phase @ middle))
+        return torch.kron(along_phase, identity)
+    along_phase = along_phase / (middle @ along_phase @ middle)
+    return torch.kron(along_phase, identity * torch.as_tensor(std**2).to(identity))
+
+
+def checked_std(name: str, value: Any, dimension: int) -> float | FloatArray:
+    """Return a standard deviation of all dimensions, or of each (D,).
+
+    Args:
+        name: of the argument, for the message.
+        value: one number, or D of them.
+        dimension: D.
+
+    Raises:
+        ValueError: neither of them, negative, or not finite.
+    """
+    if np.ndim(value) == 0:
+        return checked_number(name, value, least=0.0)
+    found = checked_array(name, value, (dimension,))
+    if (found < 0.0).any():
+        raise ValueError(f"{name} must be at least 0, got {found.tolist()}")
+    return found
 
 
 def rounding(like: Tensor) -> float:

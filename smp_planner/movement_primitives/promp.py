@@ -19,6 +19,7 @@ from smp_gym.arrays import checked_number
 from smp_planner.movement_primitives.basis import GaussianBasis, phases
 from smp_planner.movement_primitives.covariances import (
     checked_covariance,
+    checked_std,
     orthogonal_columns,
     rounding,
     smooth_covariance,
@@ -99,7 +100,7 @@ class ProMP:
         demonstrations: Tensor | np.ndarray | Sequence[Tensor | np.ndarray],
         basis: GaussianBasis | None = None,
         *,
-        smooth_std: float = 0.2,
+        smooth_std: float | Sequence[float] = 0.2,
         smooth_length_scale: float = 0.2,
         em: EMSettings | None = None,
         nan_is_missing: bool = False,
@@ -116,11 +117,12 @@ class ProMP:
         its noise the floor of `em`, and its covariance what is added.
 
         Args:
-            demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in rad; samples stand at
-                equal steps of phase. Tensors keep their device and dtype (the learning itself is
-                done in float64), arrays become float64.
+            demonstrations: (N, T, D), or N arrays (T_j, D), N at least 2, in rad or another unit;
+                samples stand at equal steps of phase. Tensors keep their device and dtype (the
+                learning itself is done in float64), arrays become float64.
             basis: default `GaussianBasis()`, K = 15.
-            smooth_std: standard deviation that is added at mid phase, in every dimension, rad.
+            smooth_std: standard deviation that is added at mid phase, in the unit of the data: of
+                every dimension, or of each (D,).
             smooth_length_scale: its length scale, in phase.
             em: priors and stopping rule of the learning.
             nan_is_missing: whether NaN in a demonstration stands for a number that was not
@@ -131,14 +133,12 @@ class ProMP:
                 samples in a dimension of one, or a number that is not finite and not missing.
         """
         basis = basis or GaussianBasis()
-        smooth_std = checked_number("smooth_std", smooth_std, least=0.0)
         smooth_length_scale = checked_number("smooth_length_scale", smooth_length_scale, above=0.0)
         checked = checked_demonstrations(demonstrations, nan_is_missing=nan_is_missing)
         exact = [d.double() for d in checked]
+        std = checked_std("smooth_std", smooth_std, exact[0].shape[-1])
         learned = expectation_maximization(exact, basis, em)
-        added = smooth_covariance(
-            basis, exact[0].shape[-1], smooth_std, smooth_length_scale, exact[0]
-        )
+        added = smooth_covariance(basis, exact[0].shape[-1], std, smooth_length_scale, exact[0])
         root = square_root(learned.covariance + added)
         mean, root, noise = (t.to(checked[0]) for t in (learned.mean, root, learned.noise))
         return cls(basis, mean, root, noise)

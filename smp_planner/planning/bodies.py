@@ -53,6 +53,14 @@ __all__ = [
     "path_clearance",
     "reachable_box",
 ]
+
+_LIMIT_MARGIN = 0.02
+"""rad or m that costs keep from joint limits at most."""
+
+_SLIDE_MARGIN = 0.01
+"""Share of the range of a prismatic joint that they keep, where that is less: a stroke may be
+short."""
+
 DistanceMap = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Map from points (N, 3) to signed distance (N,) and its gradient (N, 3)."""
 
@@ -158,11 +166,26 @@ class Body(Protocol):
 
 def reachable_box(model: RobotModel) -> Workspace:
     """Return the corners, m, of a box around all that a robot can reach with any of its parts."""
-    arms = np.linalg.norm(model.joint_origins[1:, :3, 3], axis=1).sum()
     outer = np.linalg.norm(model.center, axis=1) + model.radius
+    origins, first = model.joint_origins, 0
+    frame = model.base @ origins[0]
+    lower, upper = frame[:3, 3], frame[:3, 3]
+    # Prismatic joints before all others move what is beyond them along axes that stand still.
+    while first < model.joints and model.prismatic[first]:
+        ends = np.outer((model.lower[first], model.upper[first]), frame[:3, 2])
+        lower = lower + np.minimum(ends.min(axis=0), 0.0)
+        upper = upper + np.maximum(ends.max(axis=0), 0.0)
+        first += 1
+        if first < model.joints:
+            step = frame[:3, :3] @ origins[first][:3, 3]
+            lower, upper = lower + np.minimum(step, 0.0), upper + np.maximum(step, 0.0)
+            frame = frame @ origins[first]
+    arms = np.linalg.norm(origins[first + 1 :, :3, 3], axis=1).sum()
     reach = arms + outer.max(initial=0.0)
-    middle = (model.base @ model.joint_origins[0])[:3, 3]
-    return tuple((middle - reach).tolist()), tuple((middle + reach).tolist())
+    if model.prismatic[first:].any():
+        farthest = np.maximum(np.abs(model.lower), np.abs(model.upper))[first:]
+        reach = reach + farthest[model.prismatic[first:]].sum()
+    return tuple((lower - reach).tolist()), tuple((upper + reach).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +257,7 @@ class RobotBody:
             ),
             "joint_limits": (
                 settings.limit_weight,
-                JointLimitCost(model.lower, model.upper, margin=0.02),
+                JointLimitCost(model.lower, model.upper, margin=_limit_margins(model)),
             ),
         }
 
@@ -268,6 +291,14 @@ class RobotBody:
     def paths(self, trajectories: FloatArray, point: FloatArray | None) -> FloatArray:
         """Return the paths (P, T, 3) m of a point of the hand, by default the tool's origin."""
         return self.model.carried_points(trajectories, np.zeros(3) if point is None else point)[0]
+
+
+def _limit_margins(model: RobotModel) -> float | FloatArray:
+    """Return what costs keep from the limits of all joints, or of each (n,), rad or m."""
+    if not model.prismatic.any():
+        return _LIMIT_MARGIN
+    short = _SLIDE_MARGIN * (model.upper - model.lower)
+    return np.where(model.prismatic, np.minimum(short, _LIMIT_MARGIN), _LIMIT_MARGIN)
 
 
 def exact_map(obstacles: tuple[Obstacle, ...]) -> DistanceMap:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_joints", "draw_plan", "picture"]
 
 _LIMIT_SHOWN = 0.6
-"""Largest distance, rad, of a joint limit from what is drawn at which it is drawn, too."""
+"""Largest distance, rad or m, of a joint limit from what is drawn at which it is drawn, too."""
 
 
 def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
@@ -101,7 +101,7 @@ def draw_joints(plan: Plan) -> Figure:
             for limit in (model.lower[number], model.upper[number]):
                 if low - _LIMIT_SHOWN < limit < high + _LIMIT_SHOWN:
                     panel.axhline(limit, color="black", linewidth=1.2, label="joint limit")
-        unit = "" if model is None else ", rad"
+        unit = "" if model is None else f", {model.units[number]}"
         panel.set_title(f"{name}{unit}", fontsize="medium")
     for panel in panels[count:]:
         panel.set_visible(False)

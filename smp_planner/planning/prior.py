@@ -69,7 +69,7 @@ class Prior:
         """Return a primitive of it with `width` (at least 1) times the added deviation."""
         if width <= 1.0:
             return primitive
-        added = self.settings.smooth_std * np.sqrt(width**2 - 1.0)
+        added = np.multiply(self.settings.smooth_std, np.sqrt(width**2 - 1.0))
         length_scale = self.settings.smooth_length_scale
         return primitive.broaden(
             smooth_covariance(primitive.basis, primitive.dimension, added, length_scale)
@@ -81,7 +81,7 @@ def learn_prior(demonstrations: Sequence[NDArray[np.float64]], settings: PriorSe
     """Return the prior that demonstrations teach.
 
     Args:
-        demonstrations: N arrays (T_j, D), N at least 2, at equal steps of phase; rad, or extents.
+        demonstrations: N arrays (T_j, D), N at least 2, at equal steps of phase; rad, m or extents.
         settings: how to learn.
 
     Raises:

@@ -30,7 +30,15 @@ __all__ = ["Planner", "Problem", "Stage", "arm_problem", "arm_stage", "differenc
 _Kind = TypeVar("_Kind")
 
 
-_KINEMATICS = ("base", "joint_origins", "end_effector", "lower", "upper", "velocity")
+_KINEMATICS = (
+    "base",
+    "joint_origins",
+    "prismatic",
+    "end_effector",
+    "lower",
+    "upper",
+    "velocity",
+)
 """What tells robots apart; what they carry may differ."""
 
 

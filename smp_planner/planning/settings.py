@@ -20,11 +20,12 @@ _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 class PriorSettings(BaseModel):
     """Settings of learning a primitive from demonstrations.
 
-    Lengths are rad for a robot, and extents of the demonstrations for paths in the plane or in
-    space (`smp_planner.library.frame`).
+    Lengths are rad for a robot, or m of its prismatic joints, and extents of the demonstrations for
+    paths in the plane or in space (`smp_planner.library.frame`).
 
     Attributes:
-        smooth_std: standard deviation added to what demonstrations teach; see `ProMP.fit`.
+        smooth_std: standard deviation added to what demonstrations teach, to all coordinates the
+            same number, each in its unit, or a number for each; see `ProMP.fit`.
         smooth_length_scale: of that addition, l in phase. Trajectories come out smoother than their
             weights: away from the ends as if it were sqrt(l^2 + 2 / (K - 3)^2).
         basis_functions: K of the primitive, 1 / (K - 3) of the phase apart.
@@ -38,7 +39,7 @@ class PriorSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    smooth_std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
+    smooth_std: _Positive | Annotated[tuple[_Positive, ...], Field(min_length=1)] = 0.2
     smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     basis_functions: int = Field(default=15, ge=4, le=1000)
     modes: int | None = Field(default=None, ge=1)

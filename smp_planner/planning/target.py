@@ -137,7 +137,8 @@ class SceneTarget:
                 StepConstraint(
                     self._rest(name, count),
                     JointLimitClearances(limits.lower, limits.upper),
-                    limits.margin,
+                    # Of the lower limits, then of the upper ones.
+                    limits.margin if np.ndim(limits.margin) == 0 else np.tile(limits.margin, 2),
                     _LIMIT_WIDTH,
                     weight * _LIMIT_WIDTH**2 * steps_scale(count),
                 )

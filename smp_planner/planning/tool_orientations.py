@@ -40,7 +40,7 @@ class Cone:
 
     Attributes:
         axis: (3,) fixed in the tip's frame, not zero; its length does not matter.
-        direction: (3,) in the frame of the root link, likewise.
+        direction: (3,) in the base frame, likewise.
         angle: rad, between 0 and π, by which the axis may be away from the direction.
     """
 
@@ -63,10 +63,10 @@ class Cone:
         """Return by what angles the axis is away from the direction, and about which axes.
 
         Args:
-            rotations: (..., 3, 3) from the tip's frame to that of the root link.
+            rotations: (..., 3, 3) from the tip's frame to the base frame.
 
         Returns:
-            (...) rad, and unit axes (..., 3) in the root link's frame, about which a turn of the
+            (...) rad, and unit axes (..., 3) in the base frame, about which a turn of the
             tool makes the angle larger at its own rate.
         """
         own = rotations @ self.axis
@@ -90,7 +90,7 @@ class Orientation:
     """Orientations of the tool that differ from one by a turn of at most a tolerance.
 
     Attributes:
-        quaternion: (4,) x, y, z, w of norm 1, from the tip's frame to that of the root link.
+        quaternion: (4,) x, y, z, w of norm 1, from the tip's frame to the base frame.
         tolerance: rad, between 0 and π, angle of the turn about any axis that may remain.
     """
 

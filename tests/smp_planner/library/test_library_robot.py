@@ -161,9 +161,9 @@ def _check_covers(spheres, points, overshoot=None):
 
 
 def test_held_joints_stand_where_they_are_told(tmp_path):
-    kinds = ["revolute"] * 6 + ["prismatic"]
+    kinds = ["revolute"] * 6 + ["planar"]
     path = written(tmp_path, kinds)
-    with pytest.raises(ValueError, match=r"joint 'joint_7' .* is prismatic; .* must be held"):
+    with pytest.raises(ValueError, match=r"joint 'joint_7' .* is planar; .* must be held"):
         Robot.from_urdf(path, "tool")
     robots = [Robot.from_urdf(path, "tool", held={"joint_7": at}) for at in (0.0, 0.3)]
     assert robots[0].dimension == 6
