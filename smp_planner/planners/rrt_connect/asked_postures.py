@@ -95,7 +95,7 @@ def asked_postures(
         raise ValueError("goal must be given for a search for paths, got none")
     phases = tuple(sorted(found))
     at = [round(phase * steps) for phase in (0.0, *phases)]
-    for before, after, phase in zip(at, at[1:], phases, strict=True):
+    for before, after, phase in zip(at[:-1], at[1:], phases, strict=True):
         if after <= before:
             raise ValueError(
                 f"phases must be at least {1.0 / steps:.3g} apart for a search for paths, from 0 "

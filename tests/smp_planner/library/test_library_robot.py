@@ -161,10 +161,10 @@ def _check_covers(spheres, points, overshoot=None):
 
 
 def test_held_joints_stand_where_they_are_told(tmp_path):
-    kinds = ["revolute"] * 6 + ["planar"]
-    path = written(tmp_path, kinds)
+    path = written(tmp_path, ["revolute"] * 6 + ["planar"])
     with pytest.raises(ValueError, match=r"joint 'joint_7' .* is planar; .* must be held"):
         Robot.from_urdf(path, "tool")
+    path = written(tmp_path, ["revolute"] * 6 + ["prismatic"])
     robots = [Robot.from_urdf(path, "tool", held={"joint_7": at}) for at in (0.0, 0.3)]
     assert robots[0].dimension == 6
     q = np.zeros((1, 6))
@@ -194,7 +194,7 @@ def test_held_joints_stand_where_they_are_told(tmp_path):
         (
             lambda t: t.replace("<box ", "<cone "),
             "tool",
-            "box, cylinder, sphere or mesh, got <cone>",
+            "box, cylinder, capsule, sphere or mesh, got <cone>",
         ),
     ],
 )
