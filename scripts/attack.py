@@ -412,7 +412,7 @@ def entries(folder: Path) -> list[Entry]:
               "replan_every": of(0, -1, 1.5, "a"), "latency": of(-1, 1.5, "a", None)},
               {"method": "promp", "task": "Placement"}),
         Entry("Robot.from_urdf", Robot.from_urdf, {"path": of("none.urdf", folder), "tip": no_name,
-              "held": no_mapping, "cell": not_positive, "limits": no_mapping,
+              "held": no_mapping, "overshoot": not_positive, "limits": no_mapping,
               "velocities": no_mapping, "bodiless": of("a", 3, ["a"], [3]),
               "packages": of({"a": "/no/folder"}, 3, ["a"]),
               "base": of(3, "a", [], ((0, 0), (0, 0, 0, 1)), ((0, 0, np.nan), (0, 0, 0, 1)),
