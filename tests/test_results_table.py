@@ -1,0 +1,96 @@
+"""The tables of README and results are counted from the rows that are shipped."""
+
+import csv
+import gzip
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from smp_gym.assets import asset_path
+from smp_planner.benchmark.summary import rate_interval
+
+ROOT = Path(__file__).parents[1]
+TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
+CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+)")
+
+
+@pytest.fixture(scope="module")
+def rows():
+    with gzip.open(asset_path("results", "standard.csv.gz"), "rt", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def equal(rows):
+    """Rows of the episodes that all methods have played, by episode and method."""
+    episodes = defaultdict(dict)
+    for row in rows:
+        key = row["task"], row["difficulty"], row["half"], row["seed"]
+        episodes[key][row["method"]] = row
+    most = max(map(len, episodes.values()))
+    return [found for found in episodes.values() if len(found) == most]
+
+
+def printed(page, heading):
+    """Return the cells of a table below its heading, by the first entry of each line."""
+    lines = iter((ROOT / page).read_text(encoding="utf-8").split(heading)[1].splitlines()[1:])
+    table = {}
+    for line in lines:
+        if not line.startswith("|"):
+            break
+        name, *cells = (entry.strip() for entry in line.strip("|").split("|"))
+        table[name.split("`")[1] if "`" in name else name] = [
+            tuple(map(int, CELL.fullmatch(cell).groups())) for cell in cells
+        ]
+    return table
+
+
+def counted(chosen):
+    successes, count = sum(int(row["success"]) for row in chosen), len(chosen)
+    interval = rate_interval(successes, count)
+    good = sum(float(row["share_good"]) for row in chosen) / count
+    shares = successes / count, interval["low"], interval["high"], good
+    return tuple(round(100 * share) for share in shares)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
+def test_methods_are_compared_on_equal_episodes(page, equal):
+    table = printed(page, "| success · good | " + " | ".join(TASKS) + " |\n")
+    assert len(equal) == 243
+    assert set(table) == set(equal[0])
+    for method, cells in table.items():
+        for task, cell in zip(TASKS, cells, strict=True):
+            own = [found[method] for found in equal if found[method]["task"] == task]
+            assert cell == counted(own), (method, task)
+
+
+def test_cells_of_smp_are_whole(rows):
+    table = printed("docs/results.md", "| success · good | easy | medium | hard |\n")
+    assert tuple(table) == TASKS
+    for task, cells in table.items():
+        for difficulty, cell in zip(("easy", "medium", "hard"), cells, strict=True):
+            own = [
+                row
+                for row in rows
+                if (row["method"], row["task"], row["difficulty"]) == ("smp", task, difficulty)
+            ]
+            assert len(own) == 100
+            assert cell == counted(own)
+
+
+@pytest.mark.parametrize("rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "promp"])
+def test_pairs_are_counted(rival, equal):
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    line = next(
+        line for line in page.splitlines() if line.startswith(f"| `{rival}` |") and " : " in line
+    )
+    pairs = [tuple(map(int, pair)) for pair in re.findall(r"(\d+) : (\d+)", line)]
+    for task, pair in zip((*TASKS, None), pairs, strict=True):
+        own = [
+            (int(found["smp"]["success"]), int(found[rival]["success"]))
+            for found in equal
+            if task in (found["smp"]["task"], None)
+        ]
+        assert pair == (own.count((1, 0)), own.count((0, 1)))
