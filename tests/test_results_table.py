@@ -16,10 +16,14 @@ TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
 CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+)")
 
 
+def shipped(name):
+    with gzip.open(asset_path("results", name), "rt", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
 @pytest.fixture(scope="module")
 def rows():
-    with gzip.open(asset_path("results", "standard.csv.gz"), "rt", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return shipped("standard.csv.gz")
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +98,29 @@ def test_pairs_are_counted(rival, equal):
             if task in (found["smp"]["task"], None)
         ]
         assert pair == (own.count((1, 0)), own.count((0, 1)))
+
+
+SPEEDS = {"easy": "5 cm/s", "medium": "10 cm/s", "hard": "20 cm/s"}
+
+
+def test_planning_anew_is_held_against_planning_once():
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    played = defaultdict(dict)
+    for row in shipped("dynamic.csv.gz"):
+        displaced = row["family"] == "displaced"
+        cell = f"{row['task']}, {'displaced' if displaced else SPEEDS[row['difficulty']]}"
+        episode = row["difficulty"], row["half"], row["seed"]
+        played[cell].setdefault(episode, {})[row["run"]] = int(row["success"])
+    assert len(played) == 8
+    for cell, episodes in played.items():
+        (line,) = (line for line in page.splitlines() if line.startswith(f"| {cell}"))
+        pairs = [(found["once"], found["anew"]) for found in episodes.values()]
+        assert len(pairs) == (90 if cell.endswith("displaced") else 30)
+        rates = []
+        for successes in (sum(once for once, _ in pairs), sum(anew for _, anew in pairs)):
+            interval = rate_interval(successes, len(pairs))
+            shares = successes / len(pairs), interval["low"], interval["high"]
+            rates.append(tuple(round(100 * share) for share in shares))
+        found = re.findall(r"(\d+) \((\d+)–(\d+)\)", line)
+        assert [tuple(map(int, numbers)) for numbers in found] == rates
+        assert f"| {pairs.count((1, 0))} : {pairs.count((0, 1))} |" in line
