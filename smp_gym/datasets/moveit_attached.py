@@ -1,4 +1,4 @@
-"""What the robot of a MoveIt planning scene holds: objects attached to its links."""
+"""Objects that are attached to links of the robot in a MoveIt planning scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What trainings of our own agents keep in their folders: description, settings, checkpoint."""
+"""Folders of the trainings of our own agents: description, settings, checkpoint."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _POSTURES = 100
 """Postures that are tried for a start or a goal at once."""
 
 _ROUNDS = 20
-"""How often they are."""
+"""Times that so many postures are tried, at most."""
 
 _ITERATIONS = 20_000
 """Of RRT-Connect."""

@@ -178,9 +178,7 @@ class PlanningScene:
                     f"it must have start_state or goal_constraints, got {shown(sorted(asked))}"
                 )
             if path_constrained(asked) and not skip_unsupported:
-                raise ValueError(
-                    "it constrains the path, which is not kept; skip_unsupported=True leaves it out"
-                )
+                raise ValueError(f"it constrains the path, which is not kept; {SKIPPING}")
             if frames is None:
                 _refuse_moved(asked.get("start_state"), "start_state")
             start |= joints_of(asked.get("start_state"), "start_state")

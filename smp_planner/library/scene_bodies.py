@@ -55,7 +55,5 @@ def obstacles_of(
         return placed_spheres(spheres, pose)
     if not skip_unsupported:
         what = "a plane" if body.kind == "plane" else "a mesh of another file"
-        raise ValueError(
-            f"{body.where} is {what}, which is not read; skip_unsupported=True leaves it out"
-        )
+        raise ValueError(f"{body.where} is {what}, which is not read; {SKIPPING}")
     return []

@@ -144,7 +144,7 @@ def _unrepeated(points: FloatArray) -> FloatArray:
 
 
 class GriddedBody:
-    """What a closed mesh holds, on a grid.
+    """The inside of a closed mesh, on a grid.
 
     Attributes:
         inside: (V, 3) m, middles of the cells inside that the outer surface does not touch.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smp_gym.arrays import FloatArray
+from smp_planner.movement_primitives.mixture import shared_out
 from smp_planner.planning.constraints import Exactly, Passing, Place
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.tool_constraints import Reaching
@@ -18,7 +19,7 @@ __all__ = ["AskedPostures", "asked_postures", "is_asked"]
 
 @dataclass(frozen=True)
 class AskedPostures:
-    """What a search for paths goes through.
+    """Configurations that a search for paths goes through, layer by layer.
 
     Attributes:
         start: (n,) rad.
@@ -82,8 +83,11 @@ def asked_postures(
         if isinstance(constraint, Exactly):
             found[phase] = constraint.value[None]
         elif isinstance(constraint, Passing):
-            shares = _shares(count, len(constraint.places))
-            drawn = [_drawn(p, n, rng) for p, n in zip(constraint.places, shares, strict=True)]
+            shares = shared_out(count, np.ones(len(constraint.places)))
+            drawn = [
+                _drawn(place, max(1, share), rng)
+                for place, share in zip(constraint.places, shares, strict=True)
+            ]
             found[phase] = np.concatenate(drawn)
         else:
             places = constraint.goals if isinstance(constraint, Reaching) else constraint.places
@@ -114,11 +118,6 @@ def _start_of(constraint: Exactly | Passing | ToolPassing | Reaching) -> FloatAr
             f"{constraint.name} must be one configuration for a search for paths, got a choice"
         )
     return np.asarray(points[0])
-
-
-def _shares(count: int, places: int) -> list[int]:
-    """Return how many of `count` configurations each place gets, one at least."""
-    return [max(1, len(range(number, count, places))) for number in range(places)]
 
 
 def _drawn(place: Place, count: int, rng: np.random.Generator) -> FloatArray:

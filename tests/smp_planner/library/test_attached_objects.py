@@ -6,6 +6,7 @@ import numpy as np
 import pybullet
 import pybullet_data
 import pytest
+from kuka_swings import KUKA, LINKS, swings
 from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial.transform import Rotation
 
@@ -13,8 +14,6 @@ from smp_planner import SMP, PlanningScene, Robot
 
 pytest.importorskip("yaml", reason="PyYAML is not installed")
 
-KUKA = f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf"
-LINKS = [f"lbr_iiwa_link_{number}" for number in range(8)]
 PANDA = f"{pybullet_data.getDataPath()}/franka_panda/panda.urdf"
 HAND, FINGERS = "panda_hand", ("panda_leftfinger", "panda_rightfinger")
 OVERSHOOT = 0.015
@@ -214,15 +213,6 @@ def test_objects_are_where_pybullet_puts_them(write, panda, physics):
                 assert away.min(axis=1).max() < 1e-5
             # Links stand where the numbers of a URDF say, up to single precision.
             assert beyond.max() < OVERSHOOT + 1e-4
-
-
-def swings(count=5):
-    rng = np.random.default_rng(0)
-    start = np.array([-0.8, 0.5, 0.0, -1.4, 0.0, 1.2, 0.0])
-    share = np.linspace(0.0, 1.0, 80)[:, None]
-    rise = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    turn = np.array([1.6, 0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
-    return [start + rise * turn + rng.normal(0.0, 0.03, 7) for _ in range(count)]
 
 
 ROD = ("cylinder", (0.3, 0.02))

@@ -2,25 +2,15 @@
 
 import numpy as np
 import pybullet
-import pybullet_data
 import pytest
+from kuka_swings import KUKA, LINKS, swings
 from pybullet_utils.bullet_client import BulletClient
 
 from smp_gym.scene import Obstacle
 from smp_planner import SMP, Circle, Robot
 from smp_planner.library.adapt_settings import AdaptSettings
 
-KUKA = f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf"
-TIP = "lbr_iiwa_link_7"
-
-
-def swings(count=5):
-    rng = np.random.default_rng(0)
-    start = np.array([-0.8, 0.5, 0.0, -1.4, 0.0, 1.2, 0.0])
-    share = np.linspace(0.0, 1.0, 80)[:, None]
-    rise = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    turn = np.array([1.6, 0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
-    return [start + rise * turn + rng.normal(0.0, 0.03, 7) for _ in range(count)]
+TIP = LINKS[7]
 
 
 @pytest.fixture(scope="module")
