@@ -43,7 +43,6 @@ class _Part:
     """The particles (P_c, r_c) that share a prior, with their potential -log p(O|w)."""
 
     runs: Runs
-    scene: SceneCosts
     inference: SVGDSettings
     particles: FloatArray
     value: FloatArray
@@ -51,27 +50,21 @@ class _Part:
     memory: Any = None
 
     @classmethod
-    def of(cls, runs: Runs, latent: Tensor, scene: SceneCosts, inference: SVGDSettings) -> _Part:
+    def of(cls, runs: Runs, latent: Tensor, inference: SVGDSettings) -> _Part:
         particles = latent.numpy()
         empty = np.empty(0)
         # The temperature is put into the score.
-        part = cls(runs, scene, replace(inference, annealing=0.0), particles, empty, empty)
+        part = cls(runs, replace(inference, annealing=0.0), particles, empty, empty)
         part.memory = inference.optimizer.init(latent[None])
         return part
 
-    def potential(self, particles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return -log p(O|w) (P,) of whitened particles (P, r) and its gradient (P, r)."""
-        paths = self.runs.latent_trajectories(torch.from_numpy(particles)[None])
-        value, gradient = self.scene.evaluate(paths[0].numpy(), 1.0)
-        return value, self.runs.latent_gradient(torch.from_numpy(gradient)[None])[0].numpy()
+    def paths(self, particles: FloatArray) -> FloatArray:
+        """Return the trajectories (P, T, D) of whitened particles (P, r)."""
+        return self.runs.latent_trajectories(torch.from_numpy(particles)[None])[0].numpy()
 
-    def evaluate(self) -> None:
-        self.value, self.gradient = self.potential(self.particles)
-
-    def weigh(self) -> None:
-        """Find the potential's value alone."""
-        paths = self.runs.latent_trajectories(torch.from_numpy(self.particles)[None])
-        self.value = self.scene.weighted_sum(paths[0].numpy())
+    def pulled_back(self, slope: FloatArray) -> FloatArray:
+        """Return the gradient (P, r) by whitened particles of one (P, T, D) by trajectories."""
+        return self.runs.latent_gradient(torch.from_numpy(slope)[None])[0].numpy()
 
     def descend(self, temperature: float, iteration: int) -> None:
         """Take one iteration of SVGD at a temperature."""
@@ -89,19 +82,6 @@ class _Part:
         particles[copies] = math.sqrt(1.0 - JITTER**2) * particles[copies] + JITTER * noise
         self.particles, self.memory = particles, _taken(self.memory, chosen)
 
-    def move(self, moves: int, rng: np.random.Generator) -> None:
-        """Move the particles by Hamiltonian Monte Carlo."""
-        self.evaluate()
-        moved, _ = hamiltonian_moves(
-            Evaluated(self.particles, self.value, self.gradient),
-            self.potential,
-            rng,
-            moves=moves,
-            leapfrogs=LEAPFROGS,
-            step=FIRST_ANGLE,
-        )
-        self.particles = moved.particles
-
 
 def _taken(memory: Any, chosen: NDArray[np.intp]) -> Any:
     """Return what an optimiser remembers of the particles chosen."""
@@ -113,10 +93,10 @@ def _taken(memory: Any, chosen: NDArray[np.intp]) -> Any:
 
 
 class _Population:
-    """The particles of all parts, which compete."""
+    """The particles of all parts, which compete; their costs are evaluated together."""
 
-    def __init__(self, parts: Sequence[_Part], rng: np.random.Generator) -> None:
-        self.parts, self.rng = parts, rng
+    def __init__(self, parts: Sequence[_Part], scene: SceneCosts, rng: np.random.Generator) -> None:
+        self.parts, self.scene, self.rng = parts, scene, rng
         self.temperature = 0.0
         self._log_weights = np.zeros(sum(len(part.particles) for part in parts))
 
@@ -127,9 +107,8 @@ class _Population:
 
     def choose(self, count: int) -> None:
         """Choose fewer of the draws, at the temperature at which so many are worth choosing."""
-        for part in self.present:
-            part.weigh()
-        values = self._values()
+        paths = [part.paths(part.particles) for part in self.present]
+        values = self.scene.weighted_sum(np.concatenate(paths))
         self.temperature = temperature_rise(-values, 1.0, count)
         self._resample(-self.temperature * values, count)
 
@@ -142,8 +121,69 @@ class _Population:
         count = len(self._log_weights)
         if effective_size(self._log_weights) < effective_share * count:
             self._resample(self._log_weights, count)
-            for part in self.present:
-                part.evaluate()
+            self.evaluate()
+
+    def evaluate(self) -> None:
+        """Find the potential of all particles, and its gradient."""
+        found = self._evaluated([part.particles for part in self.present])
+        for part, (value, gradient) in zip(self.present, found, strict=True):
+            part.value, part.gradient = value, gradient
+
+    def move(self, moves: int) -> None:
+        """Move the particles by Hamiltonian Monte Carlo.
+
+        Parts of a lower rank than the highest have further coordinates meanwhile, on which the
+        potential does not depend: their flow is exact and changes no acceptance.
+        """
+        self.evaluate()
+        parts = self.present
+        ranks = [part.particles.shape[1] for part in parts]
+        last = np.cumsum([len(part.particles) for part in parts])[:-1]
+
+        def padded(arrays: Sequence[FloatArray]) -> FloatArray:
+            return np.concatenate(
+                [np.pad(each, ((0, 0), (0, max(ranks) - each.shape[1]))) for each in arrays]
+            )
+
+        def apart(particles: FloatArray) -> list[FloatArray]:
+            return [
+                np.ascontiguousarray(rows[:, :rank])
+                for rows, rank in zip(np.split(particles, last), ranks, strict=True)
+            ]
+
+        def potential(particles: FloatArray) -> tuple[FloatArray, FloatArray]:
+            found = self._evaluated(apart(particles))
+            values, gradients = zip(*found, strict=True)
+            return np.concatenate(values), padded(gradients)
+
+        moved, _ = hamiltonian_moves(
+            Evaluated(
+                padded([part.particles for part in parts]),
+                self._values(),
+                padded([part.gradient for part in parts]),
+            ),
+            potential,
+            self.rng,
+            moves=moves,
+            leapfrogs=LEAPFROGS,
+            step=FIRST_ANGLE,
+        )
+        for part, particles in zip(parts, apart(moved.particles), strict=True):
+            part.particles = particles
+
+    def _evaluated(self, particles: Sequence[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
+        """Return -log p(O|w) (P_c,) of whitened particles (P_c, r_c) and its gradient, by parts."""
+        parts = self.present
+        paths = [part.paths(rows) for part, rows in zip(parts, particles, strict=True)]
+        together = paths[0] if len(paths) == 1 else np.concatenate(paths)
+        value, slope = self.scene.evaluate(together, 1.0)
+        last = np.cumsum([len(rows) for rows in paths])[:-1]
+        return [
+            (of_part, part.pulled_back(of_paths))
+            for part, of_part, of_paths in zip(
+                parts, np.split(value, last), np.split(slope, last), strict=True
+            )
+        ]
 
     def _values(self) -> FloatArray:
         return np.concatenate([part.value for part in self.present])
@@ -193,9 +233,10 @@ def tempered_stein(
     inferences = [inference_for(run, settings) for run in runs]
     population = _Population(
         [
-            _Part.of(run, draws, scene, inference)
+            _Part.of(run, draws, inference)
             for run, draws, inference in zip(runs, latent, inferences, strict=True)
         ],
+        scene,
         rng,
     )
     inference = inferences[0]
@@ -213,8 +254,7 @@ def tempered_stein(
                 part.inference = replace(part.inference, iterations=iterations)
         if record is not None:
             record(iteration, [torch.from_numpy(part.particles) for part in population.parts])
-        for part in population.present:
-            part.evaluate()
+        population.evaluate()
         if inference.annealing > 0.0:
             temperature = inference.schedule(iteration, iterations, inference.annealing)
         else:
@@ -223,7 +263,6 @@ def tempered_stein(
         for part in population.present:
             part.descend(population.temperature, iteration)
         iteration += 1
-    for part in population.present:
-        if inference.moves and time.perf_counter() < until:
-            part.move(inference.moves, rng)
+    if inference.moves and time.perf_counter() < until:
+        population.move(inference.moves)
     return [torch.from_numpy(part.particles) for part in population.parts]

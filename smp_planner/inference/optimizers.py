@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from smp_planner.inference.compiled import adam_change, fits
+
 __all__ = ["AdaGrad", "Adam", "GradientAscent", "Optimizer"]
 
 
@@ -92,6 +94,10 @@ class Adam:
         self, direction: Tensor, memory: tuple[Tensor, Tensor], iteration: int
     ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
         """Return the mean direction over its root mean square, and the new averages."""
+        if fits(direction, *memory):
+            return adam_change(
+                direction, memory, iteration + 1, self.momentum, self.decay, self.epsilon
+            )
         first = torch.lerp(direction, memory[0], self.momentum)
         second = torch.lerp(direction.square(), memory[1], self.decay)
         mean = first / (1.0 - self.momentum ** (iteration + 1))

@@ -28,6 +28,7 @@ from smp_planner.inference.annealing import (
     quadratic_annealing,
     tanh_annealing,
 )
+from smp_planner.inference.compiled import fits, median_rbf_direction
 from smp_planner.inference.optimizers import AdaGrad, Adam, Optimizer
 from smp_planner.inference.stein_kernels import (
     RBF,
@@ -256,6 +257,8 @@ def stein_direction(
     Returns:
         (..., P, d).
     """
+    if isinstance(kernel, RBF) and kernel.bandwidth is median_bandwidth and fits(particles, score):
+        return median_rbf_direction(particles, score, attraction)
     gram, repulsion = kernel(particles)
     return (attraction * (gram @ score) + repulsion) / particles.shape[-2]
 

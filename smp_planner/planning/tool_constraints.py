@@ -8,21 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 
 from smp_gym.arrays import FloatArray
-from smp_planner.collision.costs import Cost, ValueAndGradient, check_trajectories
+from smp_planner.collision.costs import Cost, ValueAndGradient
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
-from smp_planner.movement_primitives.box_prior import box_offset
-from smp_planner.planning.constraints import (
-    at_phases,
-    mixture_cost,
-    mixture_weights,
-    spread_to_steps,
-)
+from smp_planner.planning.constraints import mixture_weights
 from smp_planner.planning.postures import final_posture, pose_chain
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.tool_box_cost import ToolBoxCost
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 
 __all__ = ["Poses", "Reaching", "ToolBoxes", "ToolPath"]
@@ -119,27 +113,11 @@ class Reaching:
         return ToolBoxes(lower, upper, mixture_weights(variance, upper - lower, self.shares))
 
     def cost(self, settings: PlanSettings) -> Cost:
-        """Return `mixture_cost` of the regions, for the tool at the end of the trajectory."""
-        lower, upper, _ = self.boxes(settings)
-        variance = np.full(lower.shape, settings.sigma**2)
-
-        own = np.stack([goal.point for goal in self.goals])
-        distinct, which = np.unique(own, axis=0, return_inverse=True)
-
-        def cost(trajectories: ArrayLike) -> ValueAndGradient:
-            paths = check_trajectories(trajectories, self.robot.joints)
-            ends = np.ascontiguousarray(paths[:, -1])
-            carried = [self.robot.carried_points(ends, point) for point in distinct]
-            points = np.stack([carried[k][0] for k in which.ravel()])
-            offsets = box_offset(points, lower[:, None], upper[:, None])
-            value, slopes = mixture_cost(offsets, variance, upper - lower, self.shares)
-            gradient = np.zeros(paths.shape)
-            for k, (_, jacobians) in enumerate(carried):
-                pull = slopes[which.ravel() == k].sum(axis=0)
-                gradient[:, -1] += (pull[:, None] @ jacobians)[:, 0]
-            return value, gradient
-
-        return cost
+        """Return the cost of a choice of the regions, for the tool at the end."""
+        lower, upper, log_weight = self.boxes(settings)
+        points = np.stack([goal.point for goal in self.goals])
+        phases = self.phases * len(points)
+        return ToolBoxCost(self.robot, points, phases, lower, upper, settings.sigma, log_weight)
 
     def condition(self, primitive: ProMP, settings: PlanSettings) -> list[tuple[ProMP, float]]:
         """Return the primitive conditioned on the likeliest posture that reaches a region.
@@ -216,17 +194,8 @@ class ToolPath:
     def cost(self, settings: PlanSettings) -> Cost:
         """Return the sum of the boxes' costs, Eq. (14), for the tool when they are due."""
         lower, upper, _ = self.boxes(settings)
-
-        def cost(trajectories: ArrayLike) -> ValueAndGradient:
-            paths = check_trajectories(trajectories, self.robot.joints)
-            due = at_phases(paths, self.phases)
-            points, jacobians = self._carried(due)
-            offset = box_offset(points, lower, upper) / settings.sigma
-            slopes = ((offset / settings.sigma)[..., None, :] @ jacobians)[..., 0, :]
-            value = 0.5 * np.square(offset).sum(axis=(1, 2))
-            return value, spread_to_steps(slopes, self.phases, paths.shape[1])
-
-        return cost
+        points = np.stack([via.point for via in self.via_points])
+        return ToolBoxCost(self.robot, points, self.phases, lower, upper, settings.sigma)
 
     def _carried(self, due: FloatArray) -> ValueAndGradient:
         """Return the points (P, H, 3) that (P, H, n) rad carry, and their Jacobians."""
