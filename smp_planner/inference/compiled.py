@@ -67,18 +67,18 @@ def _direction(particles, score, attraction, direction):
         middle = (len(between) - 1) // 2
         bandwidth = max(np.partition(between, middle)[middle], _LEAST_BANDWIDTH)
     inverse = 1.0 / bandwidth
+    pull = np.empty(size)
     for i in range(count):
         row = direction[i]
         row[:] = 0.0
-        weights = 0.0
+        pull[:] = 0.0
         for j in range(count):
             weight = math.exp(-squared[i, j] * inverse)
-            weights += weight
-            attracted, repelled = attraction * weight, 2.0 * inverse * weight
             for k in range(size):
-                row[k] += attracted * score[j, k] - repelled * particles[j, k]
+                row[k] += weight * score[j, k]
+                pull[k] += weight * (particles[j, k] - particles[i, k])
         for k in range(size):
-            row[k] = (row[k] + 2.0 * inverse * weights * particles[i, k]) / count
+            row[k] = (attraction * row[k] - 2.0 * inverse * pull[k]) / count
 
 
 def median_rbf_direction(particles: Tensor, score: Tensor, attraction: float) -> Tensor:

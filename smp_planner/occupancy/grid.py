@@ -7,7 +7,7 @@ in nanoseconds, whatever the map was.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,6 +28,7 @@ __all__ = [
     "GridMap",
     "bake",
     "bake_analytic",
+    "fill_slabs",
     "grid_nodes",
     "lookup",
 ]
@@ -40,6 +41,9 @@ SPACING = 0.015
 
 BLOCK = 4
 """Cells of a grid along each edge of a block that may be passed over as a whole."""
+
+_SLABS: tuple[int, ...] = (0, 2, 1, 3)
+"""Slabs of a grid along its first axis, in an order whose halves have about as much to do."""
 
 
 @kernel(inline="always")
@@ -252,10 +256,49 @@ def grid_nodes(
     return lower, (nx, ny, nz)
 
 
+Sharing = Callable[[int, Callable[[slice], None]], None]
+"""Calls some work for slices that make up so many rows, on several threads perhaps."""
+
+
+def _in_turn(rows: int, work: Callable[[slice], None]) -> None:
+    work(slice(0, rows))
+
+
+def fill_slabs(
+    occupancy_map: OccupancyMap,
+    values: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    spacing: float,
+    over: Sharing = _in_turn,
+) -> None:
+    """Lower the nodes of a grid to a map's distance, slab by slab; see `OccupancyMap.fill`.
+
+    The slabs are the same however they are shared, and so is what comes out.
+
+    Args:
+        occupancy_map: the map.
+        values: (X, Y, Z) m, changed in place.
+        origin: (3,) m.
+        spacing: m.
+        over: shares the slabs.
+    """
+
+    def work(mine: slice) -> None:
+        for slab in _SLABS[mine]:
+            first, last = len(values) * slab // len(_SLABS), len(values) * (slab + 1) // len(_SLABS)
+            if first < last:
+                begin = origin.copy()
+                begin[0] += spacing * first
+                occupancy_map.fill(values[first:last], begin, spacing)
+
+    over(len(_SLABS), work)
+
+
 def bake(
     occupancy_map: OccupancyMap,
     workspace: tuple[Sequence[float], Sequence[float]] = WORKSPACE,
     spacing: float = SPACING,
+    over: Sharing = _in_turn,
 ) -> DistanceGrid:
     """Return a map as a grid.
 
@@ -263,6 +306,7 @@ def bake(
         occupancy_map: what to bake.
         workspace: lower and upper corner, m; the grid covers at least the box between them.
         spacing: m.
+        over: shares the slabs of the grid among threads.
 
     Returns:
         The grid; a scene without obstacles has the map's truncation everywhere.
@@ -272,7 +316,7 @@ def bake(
     """
     origin, nodes = grid_nodes(workspace, spacing)
     values = np.full(nodes, occupancy_map.truncation, np.float32)
-    occupancy_map.fill(values, origin, spacing)
+    fill_slabs(occupancy_map, values, origin, spacing, over)
     return DistanceGrid(origin, spacing, values)
 
 

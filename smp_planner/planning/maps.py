@@ -9,7 +9,7 @@ import numpy as np
 from smp_gym.geometry.distance import PackedObstacles
 from smp_gym.scene import Obstacle
 from smp_planner.occupancy.analytic import AnalyticMap
-from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, bake
+from smp_planner.occupancy.grid import WORKSPACE, DistanceGrid, bake, fill_slabs
 from smp_planner.occupancy.neural import (
     INFLATION,
     PointNetworkMap,
@@ -19,6 +19,7 @@ from smp_planner.occupancy.neural import (
 from smp_planner.occupancy.occupancy_map import TRUNCATION, OccupancyMap
 from smp_planner.occupancy.shape_networks import ShapeNetworkMap, default_networks
 from smp_planner.planning.settings import PlanSettings
+from smp_planner.planning.threads import Threads
 
 __all__ = ["WORKSPACE", "SceneMaps", "Workspace", "around_both", "lowered"]
 
@@ -39,12 +40,18 @@ class SceneMaps:
         settings: kind of map, and how a network is trained.
         seed: of points and training.
         made: maps that there are already, to which those made here are added.
+        threads: that share the making of a map; by default, the caller's alone.
     """
 
     def __init__(
-        self, settings: PlanSettings, seed: int, made: dict[Any, Any] | None = None
+        self,
+        settings: PlanSettings,
+        seed: int,
+        made: dict[Any, Any] | None = None,
+        threads: Threads | None = None,
     ) -> None:
         self._settings, self._seed = settings, seed
+        self._over = (threads or Threads(1)).over
         self._made: dict[tuple[tuple[Obstacle, ...], Workspace, int], DistanceGrid | None]
         self._made = {} if made is None else made
 
@@ -102,7 +109,11 @@ class SceneMaps:
         if self._settings.map == "shapes":
             composed = ShapeNetworkMap(rest, default_networks())
         begun = self._made.get((known, workspace, 0)) if known else None
-        return bake(composed, workspace) if begun is None else lowered(begun, composed)
+        if begun is None:
+            return bake(composed, workspace, over=self._over)
+        values = begun.values.copy()
+        fill_slabs(composed, values, begun.origin, begun.spacing, self._over)
+        return DistanceGrid(begun.origin, begun.spacing, values)
 
 
 def lowered(grid: DistanceGrid, other: OccupancyMap) -> DistanceGrid:

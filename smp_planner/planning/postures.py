@@ -19,6 +19,9 @@ REGION_TOLERANCE = 0.02
 
 _ITERATIONS = 30
 _DAMPING = 1e-6
+_AT_REST = 1e-9
+"""Rad, change of a configuration below which a search has ended."""
+
 _POSITION_TOLERANCE = 1e-3
 """Metres up to which a point is taken to be where it should."""
 
@@ -139,6 +142,8 @@ def final_posture(
             change = np.linalg.solve(hessian, slope)
             change *= min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))
             posture = np.clip(posture - change, robot.lower, robot.upper)
+            if share == 1.0 and np.abs(change).max() < _AT_REST:
+                break
         error = float(region.distance(robot.carried_points(posture, region.point)[0]))
         nearest = min(nearest, error)
         energy = float((posture - mean) @ precision @ (posture - mean))

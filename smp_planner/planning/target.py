@@ -60,7 +60,8 @@ class SceneTarget:
         self._threads = threads or Threads(1)
         self._stages: list[tuple[Stage, ObstacleCost]] = []
         self._moving: list[tuple[Stage, MovingCollisionCost]] = []
-        maps = SceneMaps(settings, problem.seed) if maps is None else maps
+        if maps is None:
+            maps = SceneMaps(settings, problem.seed, threads=self._threads)
         # Maps of few obstacles first: those of more begin with them.
         for stage in sorted(problem.stages, key=lambda stage: len(stage.obstacles)):
             standing, forecast = parted(problem, stage, settings)

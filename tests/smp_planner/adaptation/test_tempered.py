@@ -97,6 +97,21 @@ def test_parts_share_the_particles_by_their_evidence(prior):
     assert np.mean(shares) == pytest.approx(evidence[0] / sum(evidence), abs=0.06)
 
 
+def test_parts_of_different_ranks_each_have_the_spread_of_their_posterior(prior):
+    """Moves take all parts at once, those of a lower rank with coordinates that do not count."""
+    end = torch.tensor([0.1, 0.0], dtype=torch.float64)
+    other = prior.condition(1.0, end)
+    assert other.rank < prior.rank
+    place = torch.tensor([0.2, 0.1], dtype=torch.float64)
+    found = adapted([prior, other], Observed((place.numpy(), 1.0)))
+    for part, latent in zip((prior, other), found, strict=True):
+        assert len(latent) > PARTICLES // 5
+        exact = part.condition(PHASE, place, torch.full((2,), 0.1**2, dtype=torch.float64))
+        whole = exact.whiten(part.unwhiten(latent))
+        assert whole.std().item() == pytest.approx(1.0, abs=0.1)
+        assert whole.mean(0).abs().max().item() < 0.5
+
+
 def test_a_part_in_a_dead_end_loses_all_particles(prior):
     far = prior.condition(PHASE, torch.tensor([-0.9, 0.9], dtype=torch.float64))
     alive, dead = adapted([prior, far], Observed(((0.3, 0.0), 1.0)))

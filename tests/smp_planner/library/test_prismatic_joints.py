@@ -16,6 +16,7 @@ from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.smp import SMP, AdaptSettings, GoalRegion, Robot
 from smp_planner.planning.bodies import RobotBody, reachable_box
 from smp_planner.planning.maps import SceneMaps
+from smp_planner.planning.tool_box_cost import ToolBoxCost
 
 ROLL = "0 0 0"
 
@@ -173,6 +174,23 @@ def crossed(robot, path):
     """Return a box around where the tool passes on its way."""
     x, y, z = robot.tool_positions(path)[len(path) // 2]
     return Obstacle(shape="box", position=(x, y, z), size=(0.08, 0.1, 0.06))
+
+
+def test_the_cost_of_the_tool_has_the_gradient_of_its_finite_differences(pair):
+    robot, _ = pair
+    _, paths = paired(robot)
+    places = robot.tool_positions(drawn(robot, 2, 3))
+    points = np.array([[0.0, 0.0, 0.1], [0.02, -0.03, 0.0]])
+    for options in (None, np.array([0.0, -0.5])):
+        cost = ToolBoxCost(
+            robot.model, points, (0.4, 1.0), places - 0.05, places + 0.05, 0.3, options
+        )
+        direction = np.random.default_rng(4).normal(size=paths.shape)
+        above, below = (cost(paths + sign * 1e-6 * direction)[0] for sign in (1.0, -1.0))
+        value, gradient = cost(paths)
+        slope = (gradient * direction).sum(axis=(1, 2))
+        assert (value > -1.0).all()
+        np.testing.assert_allclose(slope, (above - below) / 2e-6, rtol=1e-5, atol=1e-5)
 
 
 def test_tool_and_jacobian_are_those_of_pybullet(pair):
