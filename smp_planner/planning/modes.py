@@ -8,6 +8,7 @@ such invariant: a path can be pulled over any bounded obstacle. `signatures_3d` 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.special import entr
 
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
+from smp_gym.compiling import kernel
 
 __all__ = ["Modes", "best_of_each", "group", "signatures_2d", "signatures_3d"]
 
@@ -202,41 +204,48 @@ def _windings(paths: FloatArray, center: FloatArray) -> tuple[IntArray, BoolArra
     """Return (N,) winding numbers of (N, T, 2), and (N,) where they are undefined."""
     start, end = (np.broadcast_to(paths[:, t].mean(0), paths[:, t].shape) for t in (0, -1))
     joined = np.concatenate([start[:, None], paths, end[:, None]], axis=1) - center
-    touching = _TOUCHING * np.ptp(joined, axis=(0, 1)).max()
-    undefined = _distances(joined)[0].min(axis=1) <= touching
-    straight = joined[:1, [0, -1]]
-    turned = _angles(straight)[0, 0]
-    if _distances(straight)[0].item() <= touching:
+    touching = _TOUCHING * max(np.ptp(joined[..., 0]), np.ptp(joined[..., 1]))
+    swept, distance, _, _ = _passed(joined)
+    straight, from_straight, _, _ = _passed(np.ascontiguousarray(joined[:1, [0, -1]]))
+    turned = straight[0]
+    if from_straight[0] <= touching:
         turned = abs(turned)
-    turns = (_angles(joined).sum(axis=1) - turned) / (2.0 * np.pi)
-    return np.rint(turns).astype(np.int64), undefined
+    turns = (swept - turned) / (2.0 * np.pi)
+    return np.rint(turns).astype(np.int64), distance <= touching
 
 
-def _angles(points: FloatArray) -> FloatArray:
-    """Return (N, T - 1) rad, the angle around the origin that each edge of (N, T, 2) sweeps."""
-    a, b = points[:, :-1], points[:, 1:]
-    cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return np.arctan2(cross, a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
+@kernel
+def _passed(points):  # type: ignore[no-untyped-def]
+    """Return how each of the paths (N, T, 2) passes the origin.
 
-
-def _distances(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (N, T - 1) distances of edges of (N, T, 2) from the origin, and where on the edge."""
-    # Coordinate by coordinate: sums over an axis of two are slow.
-    x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
-    along_x, along_y, x, y = np.diff(x), np.diff(y), x[:, :-1], y[:, :-1]
-    squares = along_x * along_x + along_y * along_y
-    dots = -(x * along_x + y * along_y)
-    share = np.clip(dots / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
-    x, y = x + share * along_x, y + share * along_y
-    return np.sqrt(x * x + y * y), share
+    Returns:
+        (N,) rad, the angle that it sweeps; (N,) its least distance; the (first) edge on which that
+        is, and where on it, in [0, 1].
+    """
+    count, samples = points.shape[:2]
+    swept, least = np.zeros(count), np.full(count, np.inf)
+    edge, share = np.zeros(count, np.int64), np.zeros(count)
+    for n in range(count):
+        for t in range(samples - 1):
+            x, y = points[n, t, 0], points[n, t, 1]
+            u, v = points[n, t + 1, 0], points[n, t + 1, 1]
+            swept[n] += math.atan2(x * v - y * u, x * u + y * v)
+            along_x, along_y = u - x, v - y
+            square = along_x * along_x + along_y * along_y
+            part = 0.0
+            if square > 0.0:
+                part = min(max(-(x * along_x + y * along_y) / square, 0.0), 1.0)
+            distance = math.hypot(x + part * along_x, y + part * along_y)
+            if distance < least[n]:
+                least[n], edge[n], share[n] = distance, t, part
+    return swept, least, edge, share
 
 
 def _nearest_approach(across: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (N,) distances of (N, T, 2) from the origin where least, and `along` (N, T) there."""
-    distances, shares = _distances(across)
-    heights = along[:, :-1] + shares * np.diff(along, axis=1)
-    each, nearest = np.arange(len(across)), distances.argmin(axis=1)
-    return distances[each, nearest], heights[each, nearest]
+    _, distance, edge, share = _passed(np.ascontiguousarray(across))
+    each = np.arange(len(across))
+    return distance, (1.0 - share) * along[each, edge] + share * along[each, edge + 1]
 
 
 def _plane(direction: FloatArray) -> FloatArray:
