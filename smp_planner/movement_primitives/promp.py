@@ -249,7 +249,7 @@ class ProMP:
         innovation = value - self.mean @ rows.mT
         stacked = torch.cat([rows @ self.root, noise_factor], -1)
         left, singular, right = torch.linalg.svd(stacked, full_matrices=True)
-        scale = torch.linalg.matrix_norm(rows, 2) * self.root.norm() + noise_factor.norm()
+        scale = rows.norm() * self.root.norm() + noise_factor.norm()
         rank = int((singular > rounding(self.mean) * scale).sum())
 
         explained = innovation @ left[:, :rank]

@@ -35,6 +35,9 @@ VIA_STD = 0.02
 
 _VIA_ITERATIONS = 8
 
+_AT_REST = 1e-8
+"""Standard deviations of the primitive: smaller changes end the search for a trajectory."""
+
 
 def _refuse_orientations(name: str, places: Sequence[GoalRegion | ToolViaPoint]) -> None:
     for index, place in enumerate(places):
@@ -220,7 +223,7 @@ class ToolPath:
         identity = torch.eye(primitive.dimension, dtype=dtype)
         values = primitive.basis.values(torch.tensor(self.phases, dtype=dtype))
         root = primitive.root
-        unit = torch.eye(root.shape[1], dtype=dtype)
+        unit = torch.eye(places.size, dtype=dtype)
         latent = torch.zeros(root.shape[1], dtype=dtype)
         rows, value = torch.empty(0), torch.empty(0)
         for _ in range(_VIA_ITERATIONS):
@@ -234,7 +237,10 @@ class ToolPath:
             value = torch.from_numpy(target).ravel()
             scaled = rows @ root / VIA_STD
             residual = (value - rows @ primitive.mean) / VIA_STD
-            latent = torch.linalg.solve(scaled.mT @ scaled + unit, scaled.mT @ residual)
+            before = latent
+            latent = scaled.mT @ torch.linalg.solve(scaled @ scaled.mT + unit, residual)
+            if float((latent - before).abs().max()) < _AT_REST:
+                break
         noise = torch.full((len(rows),), VIA_STD**2, dtype=dtype)
         return [(primitive.observe(rows, value, noise), 0.0)]
 
