@@ -1,35 +1,25 @@
 """The tables of the ablation are the means of the rows that are shipped."""
 
-import csv
-import gzip
-from pathlib import Path
-
 import numpy as np
 import pytest
+from printed_tables import TASKS, lines_of, shipped
 
-from smp_gym.assets import asset_path
-
-PAGE = Path(__file__).parents[1] / "docs" / "arm.md"
-TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
 COLUMNS = {"good": 0.5, "wasserstein": 0.5, "entropy": 0.05, "demonstrations": 0.5}
 """Numbers of a cell, with half of the last digit of each."""
 
 
 def rows(run):
-    with gzip.open(asset_path("results", "ablation.csv.gz"), "rt", encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["run"] == run]
+    return [row for row in shipped("ablation.csv.gz") if row["run"] == run]
 
 
 def printed(first, last):
     """Return the cells of the table between two texts of the page, by method and task."""
-    text = PAGE.read_text(encoding="utf-8").split(first)[1].split(last)[0]
-    cells = {}
-    for line in text.splitlines():
-        method, *values = (entry.strip() for entry in line.strip("|").split("|"))
-        if len(values) == len(TASKS) and "·" in values[0]:
-            for task, value in zip(TASKS, values, strict=True):
-                cells[method, task] = [float(number) for number in value.split("·")]
-    return cells
+    return {
+        (method, task): [float(number) for number in value.split("·")]
+        for method, *values in lines_of("docs/arm.md", first, last)
+        if len(values) == len(TASKS) and "·" in values[0]
+        for task, value in zip(TASKS, values, strict=True)
+    }
 
 
 @pytest.mark.parametrize(

@@ -1,24 +1,14 @@
 """The tables of README and results are counted from the rows that are shipped."""
 
-import csv
-import gzip
 import re
 from collections import defaultdict
-from pathlib import Path
 
 import pytest
+from printed_tables import TASKS, lines_of, page, shipped
 
-from smp_gym.assets import asset_path
 from smp_planner.benchmark.summary import rate_interval
 
-ROOT = Path(__file__).parents[1]
-TASKS = ("Placement", "DoubleSidedPlacement", "DrawS", "PushLiftBox")
 CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+)")
-
-
-def shipped(name):
-    with gzip.open(asset_path("results", name), "rt", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.fixture(scope="module")
@@ -37,18 +27,15 @@ def equal(rows):
     return [found for found in episodes.values() if len(found) == most]
 
 
-def printed(page, heading):
+def printed(name, heading):
     """Return the cells of a table below its heading, by the first entry of each line."""
-    lines = iter((ROOT / page).read_text(encoding="utf-8").split(heading)[1].splitlines()[1:])
-    table = {}
-    for line in lines:
-        if not line.startswith("|"):
-            break
-        name, *cells = (entry.strip() for entry in line.strip("|").split("|"))
-        table[name.split("`")[1] if "`" in name else name] = [
+    return {
+        entry.split("`")[1] if "`" in entry else entry: [
             tuple(map(int, CELL.fullmatch(cell).groups())) for cell in cells
         ]
-    return table
+        for entry, *cells in lines_of(name, heading)
+        if "---" not in entry
+    }
 
 
 def counted(chosen):
@@ -59,9 +46,9 @@ def counted(chosen):
     return tuple(round(100 * share) for share in shares)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
-def test_methods_are_compared_on_equal_episodes(page, equal):
-    table = printed(page, "| success · good | " + " | ".join(TASKS) + " |\n")
+@pytest.mark.parametrize("name", ["README.md", "docs/results.md"])
+def test_methods_are_compared_on_equal_episodes(name, equal):
+    table = printed(name, "| success · good | " + " | ".join(TASKS) + " |\n")
     assert len(equal) == 243
     assert set(table) == set(equal[0])
     for method, cells in table.items():
@@ -86,10 +73,8 @@ def test_cells_of_smp_are_whole(rows):
 
 @pytest.mark.parametrize("rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "promp"])
 def test_pairs_are_counted(rival, equal):
-    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    line = next(
-        line for line in page.splitlines() if line.startswith(f"| `{rival}` |") and " : " in line
-    )
+    lines = page("docs/results.md").splitlines()
+    line = next(line for line in lines if line.startswith(f"| `{rival}` |") and " : " in line)
     pairs = [tuple(map(int, pair)) for pair in re.findall(r"(\d+) : (\d+)", line)]
     for task, pair in zip((*TASKS, None), pairs, strict=True):
         own = [
@@ -104,7 +89,7 @@ SPEEDS = {"easy": "5 cm/s", "medium": "10 cm/s", "hard": "20 cm/s"}
 
 
 def test_planning_anew_is_held_against_planning_once():
-    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    lines = page("docs/results.md").splitlines()
     played = defaultdict(dict)
     for row in shipped("dynamic.csv.gz"):
         displaced = row["family"] == "displaced"
@@ -113,7 +98,7 @@ def test_planning_anew_is_held_against_planning_once():
         played[cell].setdefault(episode, {})[row["run"]] = int(row["success"])
     assert len(played) == 8
     for cell, episodes in played.items():
-        (line,) = (line for line in page.splitlines() if line.startswith(f"| {cell}"))
+        (line,) = (line for line in lines if line.startswith(f"| {cell}"))
         pairs = [(found["once"], found["anew"]) for found in episodes.values()]
         assert len(pairs) == (90 if cell.endswith("displaced") else 30)
         rates = []

@@ -9,11 +9,12 @@ import gymnasium
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.registration import environment_id
+from smp_gym.scene import TASKS
 
 __all__ = ["environment"]
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=len(TASKS))
 def environment(task: str, difficulty: str) -> gymnasium.Env[Any, Any]:
-    """Return the environment of a task and a difficulty, made once for scenes in a row."""
+    """Return the environment of a task and a difficulty, made once."""
     return gymnasium.make(environment_id(task), difficulty=difficulty)

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import torch
 
-import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError
 from smp_gym.rollout import Rollout, rollout
 from smp_gym.scene import TASKS
-from smp_planner.benchmark.episodes import environment_id
 from smp_planner.benchmark.metrics import (
     COMPARED_SAMPLES,
     Metrics,
@@ -25,6 +22,7 @@ from smp_planner.benchmark.metrics import (
     path_lengths,
     success_rates,
 )
+from smp_planner.experiments.environments import environment
 from smp_planner.experiments.table_two.scenes import load_scenes, prior_settings, shared_prior
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import shared_out
@@ -153,7 +151,7 @@ def play_repetition(key: RepetitionKey) -> RepetitionRow:
         return RepetitionRow(key.repetition, key.task, key.method, all=floor)
     policy = _policy(key.task, key.method)
     policy.set_random_seed(key.repetition)
-    env = _environment(key.task)
+    env = environment(key.task, "medium")
     observation, _ = env.reset(options={"scene": load_scenes()[key.task]})
     problem = policy.problem(observation)
     try:
@@ -218,11 +216,6 @@ def _cause(info: dict[str, Any]) -> str:
     return f"{info['failure']}: {contact}" if contact else info["failure"]
 
 
-@lru_cache(maxsize=len(TASKS))
-def _environment(task: str) -> gym.Env[Any, Any]:
-    return gym.make(environment_id(task))
-
-
 @lru_cache(maxsize=len(TASKS) * len(METHODS))
 def _policy(task: str, method: str) -> PlannerPolicy:
     """Return a policy after one unrecorded plan, so that no row times a compilation."""
@@ -233,7 +226,7 @@ def _policy(task: str, method: str) -> PlannerPolicy:
     if method.endswith(_MATCHED):
         settings["per_component"] = False
     policy = PlannerPolicy.make(name, task, settings=settings)
-    observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
+    observation, _ = environment(task, "medium").reset(options={"scene": load_scenes()[task]})
     with suppress(UnreachableError):
         policy.plan(observation)
     return policy
@@ -250,7 +243,7 @@ class _Conditioned(NamedTuple):
 @lru_cache(maxsize=len(TASKS))
 def _conditioned(task: str) -> _Conditioned:
     prior = shared_prior(task)
-    observation, _ = _environment(task).reset(options={"scene": load_scenes()[task]})
+    observation, _ = environment(task, "medium").reset(options={"scene": load_scenes()[task]})
     problem = _policy(task, "promp").problem(observation)
     return _Conditioned(
         tuple(
