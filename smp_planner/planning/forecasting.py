@@ -77,6 +77,16 @@ class Looks:
         """Standard deviation of the noise that each look has for itself, along an axis, m."""
         return _deviation(self.squares, self.changes)
 
+    @property
+    def doubt(self) -> float:
+        """Standard deviation of where the mean of the looks says that obstacles stand, m.
+
+        What all looks have in common cannot be told from them: it is taken to be as large as what
+        each has for itself, which is known.
+        """
+        fewest = int(self.count.min(initial=_MEMORY))
+        return self.deviation * math.sqrt(1.0 + 1.0 / fewest)
+
     def then(self, obstacles: tuple[Obstacle, ...], seconds: float) -> Looks:
         """Return what the looks say together with one more.
 

@@ -100,9 +100,10 @@ class Problem:
         foresight: s after the observation, until when trajectories are checked against obstacles
             that move; later they are costs only, to be looked at again by then.
         done: (S, D) samples of what is done, at the steps of a plan; None if nothing is.
+        doubt: m, standard deviation of where obstacles stand: costs keep by so much farther away.
 
     Raises:
-        ValueError: no stage.
+        ValueError: no stage, or `doubt` is negative or not finite.
     """
 
     body: Body
@@ -114,10 +115,15 @@ class Problem:
     turns: Mapping[Obstacle, tuple[float, ...]] = field(default_factory=dict)
     foresight: float = math.inf
     done: FloatArray | None = None
+    doubt: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.stages:
             raise ValueError("Problem.stages must hold at least one Stage, got none")
+        if not (math.isfinite(self.doubt) and self.doubt >= 0.0):
+            raise ValueError(
+                f"Problem.doubt must be finite and not negative, m, got {self.doubt!r}"
+            )
 
     @property
     def pins(self) -> FloatArray:

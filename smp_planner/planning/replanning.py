@@ -81,6 +81,7 @@ def resumed(
     turns: Mapping[Obstacle, tuple[float, ...]] | None = None,
     cloud: CloudMap | None = None,
     seed: int | None = None,
+    doubt: float = 0.0,
 ) -> Problem:
     """Return what is left of a problem while one of its trajectories is executed.
 
@@ -95,6 +96,7 @@ def resumed(
         turns: see `Problem`.
         cloud: map of a point cloud as it is now, where there was one.
         seed: of the randomness; by default that of the problem.
+        doubt: see `Problem`.
 
     Raises:
         ValueError: other obstacles than those of the problem.
@@ -140,6 +142,7 @@ def resumed(
         clock=clock,
         turns=dict(turns or {}),
         done=np.array(trajectory[: clock.first(len(trajectory)) + 1]),
+        doubt=doubt,
     )
 
 

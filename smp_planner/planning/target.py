@@ -57,6 +57,7 @@ class SceneTarget:
         maps: SceneMaps | None = None,
     ) -> None:
         self.problem, self.settings = problem, settings
+        self._margin = settings.margin + problem.doubt
         self._threads = threads or Threads(1)
         self._stages: list[tuple[Stage, ObstacleCost]] = []
         self._moving: list[tuple[Stage, MovingCollisionCost]] = []
@@ -126,7 +127,7 @@ class SceneTarget:
                 StepConstraint(
                     self.problem.ahead(stage, count),
                     cost.clearances,
-                    settings.margin,
+                    self._margin,
                     settings.edge_width[1],
                     share * cost.scale,
                 )
@@ -156,7 +157,7 @@ class SceneTarget:
 
     def obstacle_gradient(self, trajectories: FloatArray, progress: float) -> FloatArray:
         """Return the gradient (P, T, D) of the collision cost alone, unweighted, as `gradient`."""
-        return self._collision(trajectories, self._width(progress), self.settings.margin)[1]
+        return self._collision(trajectories, self._width(progress), self._margin)[1]
 
     def weighted_sum(self, trajectories: FloatArray) -> FloatArray:
         """Return the weighted sum (P,) of costs, with the map's edge at its last width."""
@@ -188,7 +189,7 @@ class SceneTarget:
         def add(rows: slice) -> None:
             part, total, slope = trajectories[rows], value[rows], gradient[rows]
             self._add_collision(
-                part, width, settings.margin, settings.obstacle_weight, total, slope, others
+                part, width, self._margin, settings.obstacle_weight, total, slope, others
             )
             for name, cost in self._compiled.items():
                 if self._rest(name, count).start == 0 and name not in left_out:

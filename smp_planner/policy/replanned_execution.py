@@ -185,6 +185,7 @@ def _ask(
         looks.obstacles,
         turns,
         cloud,
+        doubt=looks.doubt,
     )
     problem = replace(problem, foresight=delay + LOOKAHEAD * CONTROL_PERIOD)
     if pursuit.stuck < PATIENCE:

@@ -67,6 +67,16 @@ def test_the_noise_of_a_look_is_found_from_their_changes(series):
         assert looks[-1].deviation == pytest.approx(SINGLE, rel=0.15)
 
 
+def test_the_doubt_is_how_far_off_the_mean_is(series):
+    """The sensor's two parts are about equal, as is taken for granted of what is not known."""
+    found, errors = series
+    for n in (4, 12, STEPS):
+        said = np.mean([looks[n - 1].doubt for looks in found])
+        assert said == pytest.approx(errors[:, n - 1].std(), rel=0.2)
+    exact = together([(ball(0.1), ball(0.2))] * 5)
+    assert [looks.doubt for looks in exact] == [0.0] * 5
+
+
 def test_noise_alone_is_no_surprise(series):
     found, errors = series
     for looks, error in zip(found, errors, strict=True):

@@ -12,6 +12,7 @@ from smp_planner.collision.verification import check_collisions
 from smp_planner.planning.clock import Clock
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.replanning import direction, resumed
+from smp_planner.planning.target import SceneTarget
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 PHASE = 0.37
@@ -118,6 +119,32 @@ def test_what_comes_too_fast_leaves_the_least_bad_particle_with_the_reason(polic
     assert "no particle is good: of 14 particles 0 are collision-free" in found.message
     assert found.standing_free.any()
     assert (found.apart < 0.0).all()
+
+
+def test_doubt_keeps_trajectories_farther_away(policy, plan, problem, rest, again):
+    """What the costs keep away from is enlarged by it; the check of what is good is not."""
+    settings = policy.planner.plan_settings
+    doubtful = replace(rest, doubt=0.02)
+    found = SceneTarget(doubtful, settings)
+    wider = SceneTarget(rest, settings.model_copy(update={"margin": settings.margin + 0.02}))
+    paths = np.ascontiguousarray(plan.trajectories[:, :: 100 // settings.planning_steps])
+    for one, other in zip(found.evaluate(paths, 0.5), wider.evaluate(paths, 0.5), strict=True):
+        np.testing.assert_array_equal(one, other)
+    cautious = policy.planner.replan(plan, doubtful)
+    ahead = slice(int(np.ceil(PHASE * 99)), None)
+    robot, obstacles = problem.robot, problem.movable
+    clearance = [
+        np.median(check_collisions(each.trajectories[:, ahead], robot, obstacles).clearance)
+        for each in (again, cautious)
+    ]
+    assert clearance[1] > clearance[0]
+    assert cautious.solved
+
+
+@pytest.mark.parametrize("doubt", [-0.01, np.nan, np.inf])
+def test_doubt_that_is_no_distance_is_refused(rest, doubt):
+    with pytest.raises(ValueError, match=r"Problem.doubt must be finite and not negative"):
+        replace(rest, doubt=doubt)
 
 
 def test_from_rest_any_direction_is_free(plan, problem):
