@@ -37,6 +37,7 @@ from smp_planner.library.adapt_settings import (
     SLIDE_SMOOTH_SHARE,
     AdaptSettings,
 )
+from smp_planner.library.binding import what_binds
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
@@ -57,6 +58,7 @@ from smp_planner.planning.constraints import Exactly
 from smp_planner.planning.pipeline import checked_deadline, checked_history, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
+from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import MOST_PARTICLES, PlanSettings, PriorSettings
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 from smp_planner.planning.tool_orientations import Cone, Orientation
@@ -331,6 +333,7 @@ class SMP:
         if search is not None:
             plan = rrt_connect_plan(problem, search, settings)
             _warn_of_duration(plan, settings.duration_limit)
+            plan = self._explained(plan, problem, scene, settings)
             return self._outwards(plan, obstacles, reading)
         prior = self.prior
         if not per_component:
@@ -342,7 +345,17 @@ class SMP:
         (plan,) = plan_problems([problem], prior, how, settings, deadline=deadline, history=history)
         if self.robot is not None:
             _warn_of_duration(plan, settings.duration_limit)
+        plan = self._explained(plan, problem, scene, settings)
         return self._outwards(plan, obstacles, reading)
+
+    def _explained(
+        self, plan: Plan, problem: Problem, scene: Scene, settings: PlanSettings
+    ) -> Plan:
+        """Return a plan whose message says what binds, if no particle is good."""
+        if not plan.message:
+            return plan
+        binding = what_binds(problem, plan.best, settings, self.frame, self.robot, scene.order)
+        return plan.changed(message=f"{plan.message}: it {binding}") if binding else plan
 
     def _refuse_of_search(
         self,
