@@ -198,6 +198,8 @@ class Robot:
         """
         overshoot = checked_number("overshoot", overshoot, above=0.0)
         allowed = self._touching_held(name, touching)
+        if not isinstance(bodies, Iterable | Obstacle):
+            raise ValueError(f"bodies must be Obstacles, got {shown(bodies)}")
         given = (bodies,) if isinstance(bodies, Obstacle) else tuple(bodies)
         for index, body in enumerate(given):
             if not isinstance(body, Obstacle) or any(body.velocity):
@@ -326,15 +328,29 @@ class Robot:
         """Return the fastest motion along a path, see `timed_trajectory.timed`.
 
         Args:
-            path: (T, n) rad or m, T ≥ 2, such as `Plan.best`.
+            path: (T, n) rad or m, T ≥ 2, within the limits of the joints, such as `Plan.best`.
             acceleration: rad/s² or m/s², limit of all joints or of each (n,); of each, if some
                 joints are revolute and others prismatic.
             **settings: see `TimingSettings`.
+
+        Raises:
+            ModuleNotFoundError: see there.
+            ValueError: see there; or the path leaves the limits by more than 1e-6 rad or m.
         """
+        samples = checked_array("path", path, (None, self.dimension))
+        model = self.model
+        beyond = np.maximum(model.lower - samples, samples - model.upper)
+        if beyond.max(initial=0.0) > LIMIT_TOLERANCE:
+            sample, joint = np.unravel_index(beyond.argmax(), beyond.shape)
+            raise ValueError(
+                f"path must keep the limits of joint {self.joints[joint]!r}, "
+                f"[{model.lower[joint]:.6g}, {model.upper[joint]:.6g}] {model.units[joint]}, got "
+                f"{samples[sample, joint]:.9g} at sample {sample}"
+            )
         return timed(
             self.joints,
             self.model.velocity,
-            path,
+            samples,
             acceleration,
             TimingSettings(**settings),
             self.units,
