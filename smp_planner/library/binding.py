@@ -104,7 +104,10 @@ def _touched(path: FloatArray, robot: Robot) -> Iterator[str]:
         pairs.setdefault((names[first[pair]], names[second[pair]]), float(gap[pair]))
     if pairs:
         links = [f"{a} by {b} ({least:.3g} m)" for (a, b), least in pairs.items()]
-        yield f"has links too near to each other: {_several(links)}"
+        yield (
+            f"has links too near to each other: {_several(links)}; spheres stand out of links: a "
+            "smaller overshoot= leaves more room, touching= or srdf= says what may touch"
+        )
 
 
 def _beyond_limits(path: FloatArray, robot: Robot, limit: float) -> Iterator[str]:

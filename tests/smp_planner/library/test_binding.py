@@ -3,9 +3,13 @@
 import re
 
 import numpy as np
+import pybullet
+import pybullet_data
 import pytest
+from pybullet_utils.bullet_client import BulletClient
 
 from smp_gym.scene import Obstacle
+from smp_planner.experiments.public_arms import swings
 from smp_planner.library.binding import what_binds
 from smp_planner.library.requests import constraints_of
 from smp_planner.library.scene import Scene
@@ -122,6 +126,37 @@ def test_links_that_touch_are_named(arm):
     plan = arm.adapt(start=arm.demonstrations[0][0], goal=(1.0, 2.95, 2.9), particles=3)
     assert not plan.good.any()
     assert "it has links too near to each other: link_1 by link_3 (-" in plan.message
+    assert "a smaller overshoot= leaves more room, touching= or srdf= says what" in plan.message
+
+
+def test_what_spheres_alone_keep_apart_is_solved_by_the_advice():
+    """Between Panda's links 5 and 7 are 18 mm, as PyBullet has it, less than spheres stand out."""
+    folder = f"{pybullet_data.getDataPath()}/franka_panda"
+    packages = {"meshes": f"{folder}/meshes"}
+    ready, turned = np.array([[0.0, 0.2, 0.0, -1.9, 0.0, 2.1, 0.8]] * 2)
+    # Joint 7 alone turns, past where the spheres of links 5 and 7 meet.
+    turned[6] = -2.0
+    client = BulletClient(pybullet.DIRECT)
+    body = client.loadURDF(f"{folder}/panda.urdf", useFixedBase=True)
+    infos = [client.getJointInfo(body, k) for k in range(client.getNumJoints(body))]
+    links = {info[12].decode(): info[0] for info in infos}
+    for angle in np.linspace(0.8, -2.0, 50):
+        for joint, position in zip(range(7), [*ready[:6], angle], strict=True):
+            client.resetJointState(body, joint, position)
+        pair = links["panda_link5"], links["panda_link7"]
+        near = client.getClosestPoints(body, body, 1.0, *pair)
+        assert min(point[8] for point in near) > 0.015
+    client.disconnect()
+    ways = swings(ready, ready + 0.2 * np.eye(7)[6], np.random.default_rng(0))
+    plans = []
+    for more in ({}, {"touching": [("panda_link5", "panda_link7")]}):
+        robot = Robot.from_urdf(f"{folder}/panda.urdf", tip="panda_hand", packages=packages, **more)
+        arm = SMP.fit(ways, robot=robot)
+        plans.append(arm.adapt(start=ways[0][0], goal=turned, particles=4))
+    spheres, told = plans
+    assert not spheres.good.any()
+    assert "panda_link5 by panda_link7 (" in spheres.message
+    assert told.good.any()
 
 
 def test_the_joint_that_takes_too_long_is_named(arm):
