@@ -25,14 +25,36 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
     Yields:
         The path to write to, in the same folder and with the same suffix.
+
+    Raises:
+        OSError: it cannot be written; the error names `path`, also where the system names none.
     """
     path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():
-        yield path
+        with _named(path, path):
+            yield path
         return
     aside = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
-    try:
+    with _named(path, aside), _put_in_place(path, aside):
         yield aside
+
+
+@contextmanager
+def _named(path: Path, aside: Path) -> Iterator[None]:
+    """Have errors of the system name the path that was asked for, not the one beside it."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is not None and error.filename in (None, str(aside)):
+            error.filename = str(path)
+        raise
+
+
+@contextmanager
+def _put_in_place(path: Path, aside: Path) -> Iterator[None]:
+    """Put what is written aside in its place, or take it away after an error."""
+    try:
+        yield
         for part in (*aside.rglob("*"), aside):
             _sync(part)
         os.replace(aside, path)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -233,6 +233,11 @@ class Motion(_Frozen):
         return position, velocity
 
 
+def _has_three(size: Any) -> bool:
+    """Return whether a size is no single number and not of another length."""
+    return isinstance(size, Sequence | np.ndarray) and len(np.atleast_1d(size)) == 3
+
+
 class Obstacle(_Frozen):
     """A rigid body that nothing may touch.
 
@@ -255,6 +260,15 @@ class Obstacle(_Frozen):
     size: Size
     velocity: Vector3 = (0.0, 0.0, 0.0)
     motion: Motion | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _size_has_three_numbers(cls, fields: Any) -> Any:
+        given = fields if isinstance(fields, Mapping) else {}
+        shape, size = given.get("shape"), given.get("size", (1.0, 1.0, 1.0))
+        if isinstance(shape, str) and shape in REGISTRY and not _has_three(size):
+            raise ValueError(f"size of a {shape} is {REGISTRY[shape].measures}, got {shown(size)}")
+        return fields
 
     @model_validator(mode="before")
     @classmethod

@@ -37,13 +37,18 @@ def with_collision_pairs(robot: Robot, demonstrations: Sequence[FloatArray]) -> 
     links that move against it, unless they come nearer than `PAIR_GAP` in a demonstration: spheres
     reach beyond what they cover, and demonstrations are free. Links of which spheres overlap in a
     demonstration but not in most postures are logged as a warning: there the robot may have touched
-    itself.
+    itself. So is a robot of which nothing that moves has a sphere.
 
     Args:
         robot: whose model's `collision_pairs` are replaced.
         demonstrations: (T_j, n) rad; configurations with NaN are passed over.
     """
     model, allowed = robot.model, robot.may_touch()
+    if not (model.link > 0).any():
+        _LOGGER.warning(
+            "no link that moves has a body (bodiless=): plans of this robot are free of collisions "
+            "whatever is in the way"
+        )
     shown = [d[np.linspace(0, len(d) - 1, _CONFIGURATIONS).astype(int)] for d in demonstrations]
     number = np.repeat(np.arange(len(shown)), _CONFIGURATIONS)
     configurations = np.concatenate(shown)

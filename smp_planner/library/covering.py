@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,11 @@ _MILLIMETRES = 'if its lengths are millimetres, give it scale="0.001 0.001 0.001
 
 _LARGEST_MESH = 256 * 2**20
 """Bytes of a file."""
+
+_LEAST_MESH = 1e-3
+"""m, size below which a mesh has been scaled once too often."""
+
+_LOGGER = logging.getLogger(__name__)
 
 
 def cover_link(link: Link, overshoot: float, left: int = MOST_SPHERES) -> FloatArray:
@@ -165,7 +171,7 @@ def _mesh(shape: Shape, link: str) -> Any:
 
 
 def read_mesh(file: Path, scale: FloatArray, where: str) -> Any:
-    """Return the `trimesh.Trimesh` that a file holds, scaled.
+    """Return the `trimesh.Trimesh` that a file holds, scaled; one below 1 mm is warned of.
 
     Args:
         file: of one of `_MESH_KINDS`.
@@ -189,6 +195,12 @@ def read_mesh(file: Path, scale: FloatArray, where: str) -> Any:
         # Readers of meshes raise almost anything at damaged bytes.
         raise ValueError(f"{where} cannot be read: {error!r}") from error
     check_mesh(mesh, where)
+    if mesh.extents.max() < _LEAST_MESH:
+        _LOGGER.warning(
+            "%s is only %s large: if its lengths are metres, it must not be scaled to them",
+            where,
+            size_of(mesh.extents),
+        )
     return mesh
 
 

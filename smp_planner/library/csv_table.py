@@ -6,6 +6,7 @@ import codecs
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,14 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 _DELIMITERS = ",;\t"
+
+_AXES = (("x", "y"), ("x", "y", "z"))
+"""Names of coordinates, in any case, that are put into this order."""
+
+_SIGNS = re.compile(r"[\W_]+")
+_NUMBERED = re.compile(r"(.*?)(\d+)\D*")
+_LEAST_LETTERS = 3
+"""Of a part of a name by which a joint is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +72,16 @@ def read_csv(
     """Return the demonstrations of a `.csv` file, in the order in which they first appear.
 
     Its first line names the columns: `demonstration`, which tells rows of different demonstrations
-    apart; `time` or `timestamp`, optional; and one for each coordinate. With times, which rise
-    within a demonstration, samples are interpolated to equal steps; without, they stand at such.
-    Columns are separated by commas, semicolons (numbers may have decimal commas then) or tabs; the
-    text is UTF-8, or UTF-16 with a byte order mark.
+    apart; `time` or `timestamp`, optional; and one for each coordinate, of which x, y and z may
+    stand in any order. With times, which rise within a demonstration, samples are interpolated to
+    equal steps; without, they stand at such. Columns are separated by commas, semicolons (numbers
+    may have decimal commas then) or tabs; the text is UTF-8, or UTF-16 with a byte order mark.
 
     Args:
         path: of the file.
         joints: names of a robot's joints. Columns of these names are put into their order;
-            columns none of which is named like a joint are taken as they stand.
+            columns none of which is named like a joint are taken as they stand, unless parts of
+            names or their numbers say that this is another order.
         signals: names of columns that are no coordinates.
         nan_is_missing: whether an empty entry or NaN is a number that was not measured.
         one_of_several: whether the file is one of several: without a column `demonstration` it then
@@ -149,6 +159,8 @@ def _columns(
     if joints is not None:
         named = {names[place]: place for place in coordinates}
         coordinates = _of_joints(named, joints, where)
+    elif tuple(sorted(lowered[place] for place in coordinates)) in _AXES:
+        coordinates.sort(key=lowered.__getitem__)
     counting = [names[place] for place in coordinates if lowered[place] in _NO_COORDINATES]
     if counting and (joints is None or not set(counting) <= set(joints)):
         raise ValueError(
@@ -164,11 +176,12 @@ def _of_joints(places: Mapping[str, int], joints: Sequence[str], where: str) -> 
     """Return the places of columns in the order of a robot's joints."""
     if not set(places) & set(joints):
         alike = [name for name in places if any(joint in name for joint in joints)]
+        alike = alike or _out_of_order(list(places), joints)
         if not alike:
             return list(places.values())
         raise ValueError(
-            f"{where} must call columns as the joints are called, {', '.join(joints)}; "
-            f"got {alike[0]!r}"
+            f"{where} must call columns as the joints are called, {', '.join(joints)}, or by other "
+            f"names in this order; got {alike[0]!r}"
         )
     missing = [joint for joint in joints if joint not in places]
     if missing:
@@ -180,6 +193,40 @@ def _of_joints(places: Mapping[str, int], joints: Sequence[str], where: str) -> 
             f"{', '.join(joints)}; signals=[{other[0]!r}] carries it along"
         )
     return [places[joint] for joint in joints]
+
+
+def _out_of_order(names: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return the names of columns that seem to stand in another order than the joints.
+
+    Columns that are called otherwise than the joints are read as they stand, which parts of names
+    in another order, or numbers that do not rise, contradict.
+    """
+    meant: dict[str, int] = {}
+    for name in names:
+        alike = [index for index, joint in enumerate(joints) if _names_alike(name, joint)]
+        if len(alike) == 1:
+            meant[name] = alike[0]
+    if meant:
+        return [name for place, name in enumerate(names) if meant.get(name, place) != place]
+    numbers = [_NUMBERED.fullmatch(name) for name in names]
+    numbered = [(found[1], int(found[2])) for found in numbers if found is not None]
+    is_counted = len(numbered) == len(names) and len({stem for stem, _ in numbered}) == 1
+    if not is_counted:
+        return []
+    pairs = zip(numbered, numbered[1:], names[1:], strict=False)
+    return [name for (_, before), (_, after), name in pairs if after <= before]
+
+
+def _names_alike(one: str, other: str) -> bool:
+    """Return whether one of two names is a part of the other, signs and case aside."""
+    plain = (_SIGNS.sub("", name).lower() for name in (one, other))
+    part, whole = sorted(plain, key=len)
+    if sum(letter.isalpha() for letter in part) < _LEAST_LETTERS:
+        return False
+    # Joint 1 is no part of joint 12.
+    begin = r"(?<!\d)" if part[0].isdigit() else ""
+    end = r"(?!\d)" if part[-1].isdigit() else ""
+    return re.search(begin + re.escape(part) + end, whole) is not None
 
 
 def _recordings(

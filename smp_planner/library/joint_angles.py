@@ -15,7 +15,7 @@ from smp_planner.collision.verification import LIMIT_TOLERANCE
 if TYPE_CHECKING:
     from smp_planner.library.urdf import Robot
 
-__all__ = ["JointAngles", "refuse_quaternions", "unwrapped"]
+__all__ = ["JointAngles", "refuse_orientations", "unwrapped"]
 
 _TURN = 2.0 * math.pi
 
@@ -25,8 +25,12 @@ _WRAP = 0.1 * _TURN
 _DIGITS = 9
 """Of what is beyond a limit: a value that is beyond by the tolerance passes."""
 
-_UNIT = 5e-3
-"""Deviation of a quaternion's norm from 1: logs are rounded."""
+_UNIT = 1e-2
+"""Deviation of an orientation's norms and products from those it has: logs are rounded, to two
+digits at least."""
+
+_MATRIX = 9
+"""Numbers of a rotation matrix."""
 
 
 def unwrapped(demonstrations: Sequence[FloatArray], robot: Robot) -> tuple[FloatArray, ...]:
@@ -153,18 +157,32 @@ class JointAngles:
         return np.clip(lower, *allowed), np.clip(upper, *allowed)
 
 
-def refuse_quaternions(demonstrations: Sequence[FloatArray]) -> None:
-    """Raise a ValueError if four coordinates after each other always have norm 1.
+def refuse_orientations(demonstrations: Sequence[FloatArray]) -> None:
+    """Raise a ValueError if coordinates after each other are quaternions or rotation matrices.
 
-    Each would be learned on its own, and what comes out would be no orientation.
+    That is, if four always have norm 1, or nine the columns of a rotation. Each would be learned on
+    its own, and what comes out would be no orientation.
     """
     samples = np.concatenate(demonstrations)
     samples = samples[np.isfinite(samples).all(axis=1)]
-    for first in range(samples.shape[1] - 3):
+    if not len(samples):
+        return
+    found = None
+    for first in range(samples.shape[1] - _MATRIX + 1):
+        matrices = samples[:, first : first + _MATRIX].reshape(-1, 3, 3)
+        products = matrices @ matrices.swapaxes(1, 2)
+        if np.abs(products - np.eye(3)).max() <= 2.0 * _UNIT:
+            found = first, _MATRIX, "are orthonormal in all samples, as rotation matrices"
+            break
+    for first in range(samples.shape[1] - 3) if found is None else ():
         norms = np.linalg.norm(samples[:, first : first + 4], axis=1)
-        if len(norms) and np.abs(norms - 1.0).max() <= _UNIT:
-            raise ValueError(
-                f"coordinates {first} to {first + 3} of the demonstrations have norm 1 in all "
-                "samples, as quaternions: a path of plain coordinates does not keep them "
-                "orientations; leave them out, or give configurations of a robot"
-            )
+        if np.abs(norms - 1.0).max() <= _UNIT:
+            found = first, 4, "have norm 1 in all samples, as quaternions"
+            break
+    if found is not None:
+        first, count, what = found
+        raise ValueError(
+            f"coordinates {first} to {first + count - 1} of the demonstrations {what}: a path of "
+            "plain coordinates does not keep them orientations; leave them out, or give "
+            "configurations of a robot"
+        )

@@ -48,6 +48,10 @@ class Box:
         object.__setattr__(self, "upper", upper)
 
 
+_SHOWN = 4
+"""Options that a choice names when it is shown."""
+
+
 @dataclass(frozen=True, eq=False)
 class AnyOf:
     """Alternative places: a mixture, C_mod = -log Σ π_h N(Φ_t w; μ_h, Σ_h).
@@ -76,6 +80,12 @@ class AnyOf:
             )
         object.__setattr__(self, "options", options)
         object.__setattr__(self, "shares", tuple((shares / shares.sum()).tolist()))
+
+    def __repr__(self) -> str:
+        """Return a short description: the first options, and how many more there are."""
+        options = ", ".join(shown(option) for option in self.options[:_SHOWN])
+        more = len(self.options) - _SHOWN
+        return f"AnyOf({options}{f', and {more} more' if more > 0 else ''})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,6 +147,10 @@ class PlanningScene:
         held_overshoot = checked_number("held_overshoot", held_overshoot, above=0.0)
         if robot is not None and not isinstance(robot, Robot):
             raise ValueError(f"robot must be a Robot, got {shown(robot)}")
+        if not isinstance(skip_unsupported, bool):
+            raise ValueError(
+                f"skip_unsupported must be True or False, got {shown(skip_unsupported)}"
+            )
         given = checked_frames(frames)
         with _named(path, "scene"):
             message = read_message(path)

@@ -30,6 +30,9 @@ Request = ArrayLike | Box | GoalRegion | AnyOf
 TOLERANCE_SHARE = 0.8
 """Share of a via-point's tolerance that the box around it takes up, corners included."""
 
+_FARTHEST = 1e6
+"""Extents from the middle of the demonstrations within which a path can be asked to pass."""
+
 _SAME = 1e-9
 """Difference of phases, and extents, up to which two are the same."""
 
@@ -166,6 +169,13 @@ def _place(
         raise ValueError(
             f"{name} must have the {frame.dimension} coordinates that the demonstrations have, "
             f"got shape {np.shape(lower)}"
+        )
+    elif np.abs(np.concatenate([lower - frame.offset, upper - frame.offset])).max() > (
+        _FARTHEST * frame.scale
+    ):
+        raise ValueError(
+            f"{name} must be within {_FARTHEST:g} extents of the demonstrations, of "
+            f"{frame.scale:.6g}, got {np.where(lower == upper, lower, upper).tolist()}"
         )
     if angles is not None:
         lower, upper = angles.placed(name, phase, lower, upper)

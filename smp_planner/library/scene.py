@@ -51,6 +51,9 @@ class Scene:
         obstacles: in the user's unit, m for a robot.
         radius: of the ball, in the user's unit.
 
+    Attributes:
+        order: numbers of the obstacles in the order in which they are checked, a cloud last.
+
     Raises:
         ValueError: an obstacle of another dimension than the path, more than one point cloud, or
             `radius` is negative, or not zero for a robot.
@@ -73,7 +76,7 @@ class Scene:
             )
         self._cloud = clouds[0] if clouds else None
         # The cloud is checked after all bodies.
-        self._order = sorted(range(len(obstacles)), key=lambda i: obstacles[i] is self._cloud)
+        self.order = sorted(range(len(obstacles)), key=lambda i: obstacles[i] is self._cloud)
         self._obstacle_frame = frame if robot is None else Frame(np.zeros(3), 1.0)
         self._bodies = bodies(obstacles, self._obstacle_frame)
 
@@ -139,7 +142,7 @@ class Scene:
             each += [((), cloud)] if cloud is not None else []
             touched = [
                 index
-                for index, (body, known) in zip(self._order, each, strict=True)
+                for index, (body, known) in zip(self.order, each, strict=True)
                 if (self._clearance(body, known, candidates[0]) <= 0.0).any()
             ]
             names = " and ".join(f"obstacles[{index}]" for index in touched) or "the robot itself"

@@ -55,6 +55,9 @@ def read_touching(path: str | Path, links: Set[str]) -> frozenset[LinkPair]:
     """
     file = Path(path)
     root = robot_element(file, "an SRDF")
+    for tag in ("link", "joint"):
+        if root.find(tag) is not None:
+            raise ValueError(f"{file} is not an SRDF: it holds a <{tag}>, as a URDF does")
 
     def named(element: Any, attribute: str) -> str:
         name = element.get(attribute)

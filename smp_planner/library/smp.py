@@ -29,7 +29,7 @@ from smp_gym.arrays import (
     checked_seed,
     shown,
 )
-from smp_planner.adaptation import Adaptation, adaptation
+from smp_planner.adaptation import ADAPTATIONS, Adaptation, adaptation
 from smp_planner.collision.verification import minimum_duration
 from smp_planner.library.adapt_settings import (
     JOINT_SMOOTH_STD,
@@ -37,10 +37,11 @@ from smp_planner.library.adapt_settings import (
     SLIDE_SMOOTH_SHARE,
     AdaptSettings,
 )
+from smp_planner.library.binding import what_binds
 from smp_planner.library.cloud import PointCloud
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.frame import Frame
-from smp_planner.library.joint_angles import JointAngles, refuse_quaternions, unwrapped
+from smp_planner.library.joint_angles import JointAngles, refuse_orientations, unwrapped
 from smp_planner.library.link_meshes import link_meshes
 from smp_planner.library.modulation import AnyOf, Box, ViaPoint
 from smp_planner.library.overdetermined import refuse_overdetermined
@@ -57,6 +58,7 @@ from smp_planner.planning.constraints import Exactly
 from smp_planner.planning.pipeline import checked_deadline, checked_history, plan_problems
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.prior import learn_prior
+from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import MOST_PARTICLES, PlanSettings, PriorSettings
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 from smp_planner.planning.tool_orientations import Cone, Orientation
@@ -124,7 +126,7 @@ class SMP:
         dimension = demonstrations[0].shape[1]
         self._angles = None
         if robot is None:
-            refuse_quaternions(demonstrations)
+            refuse_orientations(demonstrations)
         else:
             if robot.dimension != dimension:
                 raise ValueError(
@@ -311,6 +313,8 @@ class SMP:
         settings = settings.model_copy(update=update)
         seed, radius = checked_seed(seed), checked_number("radius", radius, least=0.0)
         obstacles = several("obstacles", obstacles, get_args(PathObstacle))
+        if not isinstance(per_component, bool | np.bool_):
+            raise ValueError(f"per_component must be True or False, got {shown(per_component)}")
         via_points = several("via_points", via_points, (ViaPoint, ToolViaPoint, AnyOf))
         constraints = constraints_of(
             self.frame, start, via_points, goal, settings.sigma, self._angles
@@ -331,6 +335,7 @@ class SMP:
         if search is not None:
             plan = rrt_connect_plan(problem, search, settings)
             _warn_of_duration(plan, settings.duration_limit)
+            plan = self._explained(plan, problem, scene, settings)
             return self._outwards(plan, obstacles, reading)
         prior = self.prior
         if not per_component:
@@ -342,7 +347,17 @@ class SMP:
         (plan,) = plan_problems([problem], prior, how, settings, deadline=deadline, history=history)
         if self.robot is not None:
             _warn_of_duration(plan, settings.duration_limit)
+        plan = self._explained(plan, problem, scene, settings)
         return self._outwards(plan, obstacles, reading)
+
+    def _explained(
+        self, plan: Plan, problem: Problem, scene: Scene, settings: PlanSettings
+    ) -> Plan:
+        """Return a plan whose message says what binds, if no particle is good."""
+        if not plan.message:
+            return plan
+        binding = what_binds(problem, plan.best, settings, self.frame, self.robot, scene.order)
+        return plan.changed(message=f"{plan.message}: it {binding}") if binding else plan
 
     def _refuse_of_search(
         self,
@@ -481,4 +496,9 @@ def _adaptation(method: Any) -> Adaptation:
         return method
     if not isinstance(method, str):
         raise ValueError(f"method must be a name or an Adaptation, got {shown(method)}")
+    if method not in ADAPTATIONS:
+        names = ", ".join(ADAPTATIONS)
+        raise ValueError(
+            f"method must be one of {names} and, of a robot, rrt_connect; got {shown(method)}"
+        )
     return adaptation(method)

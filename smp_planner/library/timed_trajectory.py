@@ -24,10 +24,13 @@ from smp_planner.library.motion_limits import Motion, MotionLimits
 from smp_planner.library.smooth_motion import smooth_motion
 from smp_planner.library.timing_settings import TimingSettings
 
-__all__ = ["Event", "TimedTrajectory", "timed"]
+__all__ = ["MOST_SAMPLES", "Event", "TimedTrajectory", "timed"]
 
 _LEAST_CHECKS = 20_000
 """Times at which limits are checked at least; as many as there are samples, if these are more."""
+
+MOST_SAMPLES = 1_000_000
+"""Of a motion: almost three hours at 100 Hz, and some 200 MB for seven joints."""
 
 _ROUNDING = 1e-9
 """Share of a duration by which it may be missed."""
@@ -179,8 +182,8 @@ def timed(
     Raises:
         ModuleNotFoundError: the package `toppra` is not installed; with `jerk` it is not needed.
         ValueError: an argument is out of range, all samples are the same, a velocity at an end is
-            not along the path or beyond what the limits allow, or `duration` is too short, or too
-            long for them; the message says what is allowed.
+            not along the path or beyond what the limits allow, `duration` is too short, or too long
+            for them, or there would be `MOST_SAMPLES` or more; the message says what is allowed.
     """
     curve = JointPath(path, len(joints), units)
     limits = MotionLimits(
@@ -222,6 +225,13 @@ def _limits(name: str, given: Any, dimension: int, units: Sequence[str]) -> Floa
 
 
 def _samples(duration: float, rate: float) -> int:
+    """Return how many samples a motion has, both ends among them."""
+    if not duration * rate < MOST_SAMPLES:
+        raise ValueError(
+            f"the motion must have fewer than {MOST_SAMPLES} samples, but takes {duration:.6g} s "
+            f"at rate={rate:.6g}: choose a lower rate, or a shorter duration or pace (s) if one "
+            "was given, or greater limits"
+        )
     return int(np.ceil(duration * rate * (1.0 - _ROUNDING))) + 1
 
 

@@ -113,13 +113,14 @@ class Robot:
                 package (`package.xml`) around it, that of a package in the folder of its name
                 above the file, or beside such a one.
             tip: link whose origin is the tool.
-            held: joints that stand still, and where (rad or m). Mimic joints follow what they
-                mimic. Joints beside the chain that are not named stand at 0, or at the limit that
-                is nearest to it.
+            held: joints that stand still, and where (rad or m; 0, the origin, for floating and
+                planar ones). Mimic joints follow what they mimic. Joints beside the chain that are
+                not named stand at 0, or at the limit that is nearest to it.
             overshoot: m, largest distance of a point of a sphere from the collision shape that it
                 covers. The smaller, the more spheres: half of it asks for about three times as
                 many.
-            limits: (lower, upper), rad or m, by joint, in place of those of the file.
+            limits: (lower, upper), rad or m, by joint, in place of those of the file. The soft
+                limits of a `safety_controller` are not read.
             velocities: limits of velocity, rad/s or m/s, by joint, likewise.
             bodiless: links that move and are known to have no body. Others that have a visual
                 shape must have a collision shape, and each joint must move at least one.
@@ -140,7 +141,7 @@ class Robot:
         overshoot = checked_number("overshoot", overshoot, above=0.0)
         description = read_description(path, packages)
         links = description.links
-        if tip not in links:
+        if not isinstance(tip, str) or tip not in links:
             raise ValueError(f"tip must be one of {', '.join(links)}; got {tip!r}")
         joints = _limited({j.name: j for j in description.joints}, limits, velocities)
         chain = _chain_to(joints, tip)
@@ -197,6 +198,8 @@ class Robot:
         """
         overshoot = checked_number("overshoot", overshoot, above=0.0)
         allowed = self._touching_held(name, touching)
+        if not isinstance(bodies, Iterable | Obstacle):
+            raise ValueError(f"bodies must be Obstacles, got {shown(bodies)}")
         given = (bodies,) if isinstance(bodies, Obstacle) else tuple(bodies)
         for index, body in enumerate(given):
             if not isinstance(body, Obstacle) or any(body.velocity):
@@ -325,15 +328,29 @@ class Robot:
         """Return the fastest motion along a path, see `timed_trajectory.timed`.
 
         Args:
-            path: (T, n) rad or m, T ≥ 2, such as `Plan.best`.
+            path: (T, n) rad or m, T ≥ 2, within the limits of the joints, such as `Plan.best`.
             acceleration: rad/s² or m/s², limit of all joints or of each (n,); of each, if some
                 joints are revolute and others prismatic.
             **settings: see `TimingSettings`.
+
+        Raises:
+            ModuleNotFoundError: see there.
+            ValueError: see there; or the path leaves the limits by more than 1e-6 rad or m.
         """
+        samples = checked_array("path", path, (None, self.dimension))
+        model = self.model
+        beyond = np.maximum(model.lower - samples, samples - model.upper)
+        if beyond.max(initial=0.0) > LIMIT_TOLERANCE:
+            sample, joint = np.unravel_index(beyond.argmax(), beyond.shape)
+            raise ValueError(
+                f"path must keep the limits of joint {self.joints[joint]!r}, "
+                f"[{model.lower[joint]:.6g}, {model.upper[joint]:.6g}] {model.units[joint]}, got "
+                f"{samples[sample, joint]:.9g} at sample {sample}"
+            )
         return timed(
             self.joints,
             self.model.velocity,
-            path,
+            samples,
             acceleration,
             TimingSettings(**settings),
             self.units,
@@ -384,6 +401,11 @@ def _checked_held(held: Any, joints: Mapping[str, Joint]) -> dict[str, float]:
         joint, position = joints[name], checked_number(f"held[{name!r}]", given)
         if joint.is_fixed:
             raise ValueError(f"held names the joint {name!r}, which is fixed")
+        if joint.kind in ("floating", "planar") and position != 0.0:
+            raise ValueError(
+                f"held[{name!r}] must be 0 for a {joint.kind} joint, whose place is no number, got "
+                f"{position}: base= says where the robot stands"
+            )
         bounded = joint.kind in ("revolute", "prismatic") and joint.lower <= joint.upper
         beyond = max(joint.lower - position, position - joint.upper)
         if bounded and beyond > LIMIT_TOLERANCE:
@@ -459,10 +481,10 @@ def _check_bodies(
     """Raise a ValueError if a link moves of which no collision shape is known."""
     if isinstance(bodiless, str) or not isinstance(bodiless, Iterable):
         raise ValueError(f"bodiless must be names of links, got {shown(bodiless)}")
-    named = set(bodiless)
-    wrong = sorted(str(name) for name in named if name not in links or links[name].shapes)
-    if wrong:
-        raise ValueError(f"bodiless must be links without collision shapes, got {wrong[0]!r}")
+    named = tuple(bodiless)
+    for name in named:
+        if not isinstance(name, str) or name not in links or links[name].shapes:
+            raise ValueError(f"bodiless must be links without collision shapes, got {shown(name)}")
     bare = [
         name
         for name, link in links.items()

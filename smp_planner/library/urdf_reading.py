@@ -377,6 +377,8 @@ class _Folders:
     def mesh(self, name: str, where: str) -> Path:
         """Return where a mesh is, by its name in the URDF."""
         where = f"{where} names the mesh {name!r}, which"
+        if "${" in name or "$(" in name:
+            raise ValueError(f"{where} is no name yet: expand the file with xacro first")
         scheme, separator, within = name.partition("://")
         if not separator:
             scheme, within = "", name

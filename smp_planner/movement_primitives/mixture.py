@@ -186,6 +186,11 @@ class ProMPMixture:
             )
         object.__setattr__(self, "shares", shares / shares.sum())
 
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        shares = ", ".join(f"{share:.3g}" for share in self.shares.tolist())
+        return f"ProMPMixture({len(self.components)} of {self.components[0]!r}, shares {shares})"
+
     @classmethod
     @one_thread()
     def fit(

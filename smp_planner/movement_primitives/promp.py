@@ -81,6 +81,10 @@ class ProMP:
         object.__setattr__(self, "noise", noise)
         object.__setattr__(self, "root", self.root.to(self.mean))
 
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        return f"ProMP({self.basis.count} basis functions, D = {self.dimension})"
+
     @classmethod
     def from_covariance(
         cls, basis: GaussianBasis, mean: Tensor, covariance: Tensor, noise: Tensor

@@ -27,13 +27,15 @@ def write_archive(
         np.savez_compressed(file, **named)
 
 
-def read_archive(content: bytes, source: str, header: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+def read_archive(
+    content: bytes, source: str, *headers: Mapping[str, Any]
+) -> dict[str, NDArray[Any]]:
     """Return the arrays of an archive by name.
 
     Args:
         content: the whole file.
         source: its name, for errors.
-        header: what its header has to be.
+        *headers: one of which its header has to be.
 
     Raises:
         ValueError: it is damaged, is no such archive, or has another header.
@@ -43,6 +45,7 @@ def read_archive(content: bytes, source: str, header: Mapping[str, Any]) -> dict
         found = parse_json(str(arrays.pop("header")), "the header")
     except (KeyError, ValueError) as error:
         raise ValueError(f"{source} is damaged or of another kind: {error}") from error
-    if found != dict(header):
-        raise ValueError(f"{source} must have the header {dict(header)}, got {shown(found)}")
+    if found not in headers:
+        allowed = " or ".join(str(dict(header)) for header in headers)
+        raise ValueError(f"{source} must have the header {allowed}, got {shown(found)}")
     return arrays

@@ -43,6 +43,10 @@ class Prior:
     settings: PriorSettings
     _wider: dict[float, list[ProMP]] = field(default_factory=dict, init=False, repr=False)
 
+    def __repr__(self) -> str:
+        """Return a short description, without the arrays."""
+        return f"Prior({len(self.mixture.components)} components, {self.single!r})"
+
     @cached_property
     def digest(self) -> str:
         """Digest of what was learned, which tells priors apart."""

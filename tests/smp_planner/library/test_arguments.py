@@ -65,6 +65,16 @@ def test_places_that_swing_the_path_are_refused(primitive, gap):
         ({"goal": np.ma.masked_array([0.0, 1.0], [True, False])}, "goal must be a plain array"),
         ({"goal": [0.0, np.inf]}, "goal must be finite"),
         ({"goal": None, "start": [0.0]}, "start must have the 2 coordinates"),
+        ({"goal": [0.0, 1e300]}, r"goal must be within 1e\+06 extents .* got \[0.0, 1e\+300\]"),
+        ({"start": Box((-1e9, 0.0), (0.0, 1.0))}, "start must be within 1e.06 extents"),
+        ({"via_points": ViaPoint(0.5, (0.0, -1e20))}, r"via_points\[0\] must be within"),
+        ({"per_component": "no"}, "per_component must be True or False, got 'no'"),
+        ({"per_component": 1}, "per_component must be True or False, got 1"),
+        ({"per_component": None}, "per_component must be True or False, got None"),
+        (
+            {"method": "rrt"},
+            "method must be one of smp, .* and, of a robot, rrt_connect; got 'rrt'",
+        ),
         ({"method": 3}, "method must be a name"),
         ({"settings": {"sigma": 1}}, "settings must be AdaptSettings"),
     ],
@@ -116,7 +126,20 @@ def test_vectors_of_obstacles_are_vectors_of_numbers(value):
     assert body == Obstacle(shape="box", position=(0, 0, 0), size=(1, 1, 1))
 
 
+@pytest.mark.parametrize("size", [(0.05,), 0.05, (0.05, 0.1), [0.1] * 4, np.array([0.1, 0.2])])
+@pytest.mark.parametrize(
+    ("shape", "meaning"),
+    [("sphere", "radius"), ("cylinder", "half height"), ("box", "hx, hy, hz")],
+)
+def test_sizes_of_obstacles_say_what_they_are(shape, meaning, size):
+    with pytest.raises(ValueError, match=f"size of a {shape} is .*{meaning}.*, got"):
+        Obstacle(shape=shape, position=(0.0, 0.0, 0.0), size=size)
+
+
 def test_reprs_are_short(primitive):
     plan = primitive.adapt(particles=2, method="promp")
-    shown = (primitive, plan, Box((0, 0), (1, 1)), ViaPoint(0.5, np.zeros(2)), Circle((0, 0), 1))
-    assert all(len(repr(thing)) < 300 for thing in shown)
+    choice = AnyOf([ViaPoint(0.5, np.full(9, 0.125)) for _ in range(90)])
+    shown = [primitive, plan, Box((0, 0), (1, 1)), ViaPoint(0.5, np.zeros(2)), Circle((0, 0), 1)]
+    shown += [choice, primitive.prior, primitive.mixture, primitive.single, primitive.frame]
+    assert repr(choice).endswith("and 86 more)")
+    assert all(len(repr(thing)) < 600 for thing in shown)

@@ -62,6 +62,41 @@ def test_columns_with_names_of_their_own_are_read_as_they_stand(tmp_path):
         np.testing.assert_allclose(found, path, atol=1e-12)
 
 
+UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+PANDA = tuple(f"panda_joint{number}" for number in (1, 2, 3))
+
+
+@pytest.mark.parametrize(
+    ("joints", "names"),
+    [
+        (UR, ("shoulder_pan", "shoulder_lift", "elbow")),
+        (UR, ("Shoulder_Pan_Joint", "Shoulder_Lift_Joint", "Elbow_Joint")),
+        (UR, ("PAN", "LIFT", "ELBOW")),
+        (UR, ("q1", "q2", "q3")),
+        (UR, ("q8", "q9", "q10")),
+        (PANDA, ("joint1", "joint2", "joint3")),
+        (PANDA, ("joint_1", "joint_2", "joint_3")),
+        (("joint_12", "joint_1", "joint_2"), ("Joint12", "Joint1", "Joint2")),
+    ],
+)
+def test_parts_of_names_say_which_order_is_meant(tmp_path, joints, names):
+    columns = ("demonstration", "time")
+    for found, path in zip(read(tmp_path, table((*columns, *names)), joints), PATHS, strict=True):
+        np.testing.assert_allclose(found, path, atol=1e-12)
+    for order in ((2, 1, 0), (0, 2, 1), (1, 2, 0)):
+        content = table((*columns, *(names[k] for k in order)), order)
+        with pytest.raises(ValueError, match=r"line 1 must call columns as the joints .*; got '"):
+            read(tmp_path, content, joints)
+
+
+@pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2)])
+@pytest.mark.parametrize("names", ["xyz", "XYZ"])
+def test_axes_are_read_by_name(tmp_path, names, order):
+    content = table(("demonstration", "time", *(names[k] for k in order)), order)
+    for found, path in zip(read(tmp_path, content), PATHS, strict=True):
+        np.testing.assert_allclose(found, path, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("content", "joints", "message"),
     [

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from smp_planner.adaptation import adaptation
 from smp_planner.library.joint_angles import JointAngles, unwrapped
@@ -116,13 +117,30 @@ def test_requests_are_turned_to_the_nearest_branch(turning, turns):
 
 
 @pytest.mark.parametrize("column", [0, 1, 3])
-def test_quaternions_are_no_plain_coordinates(column):
+@pytest.mark.parametrize("digits", [2, 3, 9])
+def test_rotation_matrices_are_no_plain_coordinates(column, digits):
+    rng = np.random.default_rng(0)
+    paths = []
+    for _ in range(3):
+        turns = Rotation.from_rotvec(rng.normal(size=3) + np.outer(PHASE, rng.normal(size=3)))
+        rest = PHASE[:, None] + rng.normal(size=(1, 3))
+        matrices = turns.as_matrix().reshape(-1, 9)
+        paths.append(np.round(np.insert(rest, [column], matrices, axis=1), digits))
+    with pytest.raises(ValueError, match=f"coordinates {column} to {column + 8} .* rotation matr"):
+        SMP.fit(paths)
+    # Two columns of a rotation are no rotation.
+    SMP.fit([path[:, 1:] if column == 0 else path[:, :-4] for path in paths])
+
+
+@pytest.mark.parametrize("column", [0, 1, 3])
+@pytest.mark.parametrize("digits", [2, 3])
+def test_quaternions_are_no_plain_coordinates(column, digits):
     rng = np.random.default_rng(0)
     paths = []
     for _ in range(3):
         turn = rng.normal(size=4) + np.outer(PHASE, rng.normal(size=4))
         turn /= np.linalg.norm(turn, axis=1, keepdims=True)
         rest = PHASE[:, None] + rng.normal(size=(1, 4))
-        paths.append(np.round(np.insert(rest, [column], turn, axis=1), 3))
+        paths.append(np.round(np.insert(rest, [column], turn, axis=1), digits))
     with pytest.raises(ValueError, match=f"coordinates {column} to {column + 3} .* quaternions"):
         SMP.fit(paths)

@@ -103,6 +103,8 @@ def test_what_a_robot_holds_stays_clear_as_physics_sees_it(robot):
     ("bodies", "message"),
     [
         ([], "at least one Obstacle"),
+        (None, "bodies must be Obstacles, got None"),
+        (3, "bodies must be Obstacles, got 3"),
         (["rod"], r"bodies\[0\] must be an Obstacle that stands still"),
         (
             Obstacle(

@@ -368,6 +368,14 @@ def test_what_cannot_be_used_is_refused_or_skipped(write, scene, named, skipped)
             PlanningScene.load(file, skip_unsupported=True)
 
 
+@pytest.mark.parametrize("value", ["no", 1, None])
+def test_whether_to_skip_is_yes_or_no(tmp_path, value):
+    path = tmp_path / "scene.yaml"
+    path.write_text("world: {collision_objects: []}")
+    with pytest.raises(ValueError, match="skip_unsupported must be True or False, got"):
+        PlanningScene.load(path, skip_unsupported=value)
+
+
 def test_a_base_that_was_moved_is_the_users_to_place(write):
     scene = box_in("world", robot_state=moved("virtual"))
     placed = {"world": ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0, 1.0])}

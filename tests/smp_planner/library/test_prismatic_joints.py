@@ -1,10 +1,13 @@
 """Robots with prismatic joints: kinematics and collisions against PyBullet, limits and units."""
 
+import json
+
 import numpy as np
 import pybullet
 import pytest
 import torch
 
+from smp_gym.assets import asset_path
 from smp_gym.scene import Obstacle
 from smp_planner.collision.autograd import by_autograd, map_collision, self_collision
 from smp_planner.collision.clearances import SphereClearances
@@ -14,6 +17,7 @@ from smp_planner.collision.moving import Forecast, MovingCollisionCost, clearanc
 from smp_planner.collision.verification import check_collisions
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.smp import SMP, AdaptSettings, GoalRegion, Robot
+from smp_planner.occupancy.archive import read_archive
 from smp_planner.planning.bodies import RobotBody, reachable_box
 from smp_planner.planning.maps import SceneMaps
 from smp_planner.planning.tool_box_cost import ToolBoxCost
@@ -423,6 +427,40 @@ def test_a_plan_moves_the_rail_and_is_free_for_pybullet(tmp_path):
     )
     np.testing.assert_array_equal(same.trajectories, expected.trajectories)
     pybullet.disconnect(twin.client)
+
+
+FIRST = {"format": "smp_planner.primitive", "version": 1}
+
+
+def test_files_are_refused_by_readers_that_know_revolute_joints_alone(pair, tmp_path):
+    """Readers of version 1 ask for its header, and would take metres for radians."""
+    robot, _ = pair
+    file, ends = tmp_path / "primitive.npz", (drawn(robot, 1, 1)[0], drawn(robot, 1, 2)[0])
+    primitive = SMP.fit(list(swings(robot, *ends)), robot=robot)
+    primitive.save(file)
+    with pytest.raises(ValueError, match=r"must have .*'version': 1.*got .*'version': 2"):
+        read_archive(file.read_bytes(), "primitive.npz", FIRST)
+    # What was written of such robots as version 1 is read on.
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    np.savez(tmp_path / "before.npz", **arrays | {"header": np.array(json.dumps(FIRST))})
+    for name in ("primitive.npz", "before.npz"):
+        again = SMP.load(tmp_path / name)
+        assert again.robot.units == robot.units
+        assert "m" in again.robot.units
+        np.testing.assert_array_equal(again.single.mean, primitive.single.mean)
+
+
+def test_files_of_other_robots_stay_those_of_version_1(tmp_path):
+    robot = Robot.from_urdf(asset_path("jaco", "jaco.urdf"), tip="j2s6s200_end_effector")
+    SMP.fit(asset_path("demonstrations", "Placement.npz"), robot=robot).save(tmp_path / "arm.npz")
+    SMP.fit([[[0.0], [1.0]], [[0.0], [2.0]]]).save(tmp_path / "path.npz")
+    for name in ("arm.npz", "path.npz"):
+        arrays = read_archive((tmp_path / name).read_bytes(), name, FIRST)
+        arrays.pop("prismatic", None)
+        np.savez(tmp_path / name, header=np.array(json.dumps(FIRST)), **arrays)
+        again = SMP.load(tmp_path / name)
+        assert again.robot is None or set(again.robot.units) == {"rad"}
 
 
 @pytest.fixture(scope="module")

@@ -93,6 +93,16 @@ def test_files_hold_the_motion(arm, tmp_path):
         (BEND, {"acceleration": [1.0, 0.0]}, "acceleration must be above 0"),
         (BEND, {"rate": 0.0}, "rate must be .* above 0"),
         (BEND, {"speed": 1.5}, "speed must be .* at most 1"),
+        (BEND, {"rate": 1e9}, r"must have fewer than 1000000 samples, but takes .* at rate=1e\+09"),
+        (BEND, {"duration": 1e9}, "must have fewer than 1000000 samples, but takes 1e.09 s"),
+        (BEND, {"pace": 1e9}, r"must have fewer than 1000000 samples, .* pace \(s\)"),
+        (BEND, {"pace": 1e9, "jerk": 20.0}, "must have fewer than 1000000 samples"),
+        (
+            BEND + np.array([3.0, 0.0]),
+            {},
+            r"path must keep the limits of joint 'shoulder', .* sample \d+",
+        ),
+        (BEND - np.array([0.0, 9.0]), {}, r"path must keep the limits of joint 'elbow', \["),
         (BEND, {"duration": 0.5}, r"duration must be at least \d\.\d+ s for this path, got 0.5"),
     ],
 )

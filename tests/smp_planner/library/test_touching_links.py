@@ -1,6 +1,7 @@
 """Pairs of links that may touch: from SRDFs and by name, kept in files, named in warnings."""
 
 import logging
+from pathlib import Path
 
 import numpy as np
 import pybullet_data
@@ -116,6 +117,8 @@ def test_warnings_name_links_unless_they_may_touch(demonstrations, caplog):
         ('<robot><disable_collisions link1="wrist"/></robot>', "must be a link .* 'wrist'"),
         (f'<robot><disable_collisions link1="{LINKS[0]}"/></robot>', "link2 of .* got None"),
         ('<robot><disable_default_collisions link="x"/></robot>', "must be a link .* 'x'"),
+        (Path(KUKA).read_text(), "is not an SRDF: it holds a <link>, as a URDF does"),
+        ('<robot><joint name="j" type="fixed"/></robot>', "is not an SRDF: it holds a <joint>"),
     ],
 )
 def test_files_that_are_no_srdf_of_the_robot_are_refused(tmp_path, text, message):

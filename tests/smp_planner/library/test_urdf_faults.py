@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from smp_planner.library.covering import MOST_SPHERES
-from smp_planner.library.smp import Robot
+from smp_planner.library.smp import SMP, Robot
 
 BOX = '<box size="0.1 0.1 0.1"/>'
 LIMIT = '<limit lower="-1" upper="1" velocity="2" effort="1"/>'
@@ -69,6 +69,8 @@ def block():
         ('<mesh filename="noise.obj"/>', "noise.obj of link 'arm'"),
         ('<mesh filename="package:///block.stl"/>', "link 'arm', .* must name a package"),
         ('<mesh filename="http://a/block.stl"/>', "link 'arm', .* is no name of a file"),
+        ('<mesh filename="$(find a)/block.stl"/>', "link 'arm', .* expand the file with xacro"),
+        ('<mesh filename="${path}/block.stl"/>', "link 'arm', .* expand the file with xacro"),
         ("<mesh/>", "link 'arm', mesh, names the mesh '', which is no name"),
         ('<mesh filename="../out.stl"/>', "link 'arm', .* lies outside of the folders"),
         (
@@ -197,9 +199,63 @@ def test_links_that_move_have_bodies(tmp_path):
     robot(tmp_path, *up, whole, flange, link("flange"))
     with pytest.raises(ValueError, match=r"but flange have none"):
         robot(tmp_path, *up, whole, flange, link("flange", shape(BOX, "visual")))
-    for names, message in (("arm", "names of links"), (["a"], "got 'a'"), (["base", "arm"], "arm")):
+    for names, message in (
+        ("arm", "names of links"),
+        (["a"], "got 'a'"),
+        (["base", "arm"], "arm"),
+        ([["arm"]], r"got \['arm'\]"),
+        ([3], "got 3"),
+    ):
         with pytest.raises(ValueError, match=message):
             robot(tmp_path, *up, whole, bodiless=names)
+
+
+@pytest.mark.parametrize("tip", [None, ["arm"], 3, "Arm"])
+def test_a_tip_is_the_name_of_a_link(tmp_path, tip):
+    with pytest.raises(ValueError, match="tip must be one of base, arm; got"):
+        one(tmp_path, tip=tip)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_joints_of_several_coordinates_are_held_at_their_origin(tmp_path, kind):
+    parts = (
+        link("base"),
+        joint("free", "base", "root", "", kind),
+        link("root"),
+        joint("j", "root", "arm"),
+        link("arm", shape(BOX)),
+    )
+    with pytest.raises(ValueError, match=f"'free' in the chain to 'arm' is {kind}; .* be held"):
+        robot(tmp_path, *parts)
+    made = robot(tmp_path, *parts, held={"free": 0.0})
+    np.testing.assert_allclose(made.tool_positions(np.zeros(1)), 0.0, atol=1e-12)
+    with pytest.raises(ValueError, match=rf"held\['free'\] must be 0 for a {kind} joint.* got 0.5"):
+        robot(tmp_path, *parts, held={"free": 0.5})
+
+
+@pytest.mark.parametrize("scale", ["0.001 0.001 0.001", "1e-6 1e-6 1e-6", "-1e-4 1e-4 1e-4"])
+def test_meshes_scaled_twice_are_warned_of(tmp_path, block, caplog, scale):
+    (tmp_path / "block.stl").write_bytes(block)
+    one(tmp_path, f'<mesh filename="block.stl" scale="{scale}"/>')
+    (record,) = caplog.records
+    assert "block.stl of link 'arm' is only" in record.getMessage()
+    caplog.clear()
+    one(tmp_path, '<mesh filename="block.stl" scale="0.1 0.1 0.1"/>')
+    assert not caplog.records
+
+
+def test_a_robot_without_any_body_is_warned_of(tmp_path, caplog):
+    ways = [np.linspace((0.0,), (end,), 20) for end in (0.5, 0.6)]
+    for base, spheres in ((link("base"), False), (link("base", shape(BOX)), True)):
+        made = robot(tmp_path, base, joint("j", "base", "arm"), link("arm"), bodiless=["arm"])
+        assert bool(len(made.model.radius)) == spheres
+        caplog.clear()
+        SMP.fit(ways, robot=made)
+        (record,) = caplog.records
+        assert "no link that moves has a body" in record.getMessage()
+    caplog.clear()
+    SMP.fit(ways, robot=one(tmp_path))
+    assert not caplog.records
 
 
 def test_mimic_joints_follow_what_they_mimic(tmp_path):
