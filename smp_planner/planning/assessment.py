@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.geometry.registry import REGISTRY
 from smp_gym.scene import Obstacle
-from smp_planner.collision.moving import clearance_in_time
+from smp_planner.collision.clearance_in_time import clearance_in_time
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE
 from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.modes import signatures_2d, signatures_3d

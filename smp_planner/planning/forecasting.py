@@ -10,7 +10,7 @@ import numpy as np
 
 from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.scene import Obstacle
-from smp_planner.collision.moving import Forecast, is_moving
+from smp_planner.collision.forecast import Forecast, is_moving
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.problem import Problem, Stage

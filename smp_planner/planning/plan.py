@@ -59,7 +59,7 @@ class Plan:
         clearance: (P,) least distance to an obstacle, negative inside; infinity without any. What
             is farther from a point cloud than 0.15 (m, or extents) counts as that far. Of obstacles
             that move it is that to where they are expected when the arm is there, less the margin
-            of that (`smp_planner.collision.moving.Forecast`).
+            of that (`smp_planner.collision.forecast.Forecast`).
         missed: by how much (P,) each constraint is missed by its name ("start", "goal",
             "via_points"); 0 within a box or tolerance. Where the orientation of a robot's tool is
             constrained, too, that by which it is missed has the name with " orientation" added, rad

@@ -20,7 +20,7 @@ from smp_planner.collision.costs import (
     ValueAndGradient,
     steps_scale,
 )
-from smp_planner.collision.moving import MovingCollisionCost
+from smp_planner.collision.moving_cost import MovingCollisionCost
 from smp_planner.planning.bodies import ObstacleCost
 from smp_planner.planning.forecasting import parted, robot_of
 from smp_planner.planning.maps import SceneMaps

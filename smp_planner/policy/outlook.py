@@ -9,7 +9,8 @@ import numpy as np
 from smp_gym.arrays import FloatArray
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.scene import Obstacle
-from smp_planner.collision.moving import clearance_in_time, is_moving
+from smp_planner.collision.clearance_in_time import clearance_in_time
+from smp_planner.collision.forecast import is_moving
 from smp_planner.planning.assessment import HOLD
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.forecasting import Looks, forecast_of, surprising

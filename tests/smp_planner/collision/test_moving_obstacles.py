@@ -7,13 +7,10 @@ import torch
 from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.kinematics import JOINT_LOWER, JOINT_UPPER, box_spheres
 from smp_gym.scene import Motion, Obstacle
+from smp_planner.collision.clearance_in_time import clearance_in_time
 from smp_planner.collision.costs import CUTOFF_WIDTHS, steps_scale
-from smp_planner.collision.moving import (
-    Forecast,
-    MovingCollisionCost,
-    clearance_in_time,
-    is_moving,
-)
+from smp_planner.collision.forecast import Forecast, is_moving
+from smp_planner.collision.moving_cost import MovingCollisionCost
 from smp_planner.collision.robot_model import jaco_model
 
 HELD = np.eye(4)

@@ -10,10 +10,12 @@ import torch
 from smp_gym.assets import asset_path
 from smp_gym.scene import Obstacle
 from smp_planner.collision.autograd import by_autograd, map_collision, self_collision
+from smp_planner.collision.clearance_in_time import clearance_in_time
 from smp_planner.collision.clearances import SphereClearances
 from smp_planner.collision.costs import CollisionCost, SelfCollisionCost
 from smp_planner.collision.edge_check import EdgeChecker
-from smp_planner.collision.moving import Forecast, MovingCollisionCost, clearance_in_time
+from smp_planner.collision.forecast import Forecast
+from smp_planner.collision.moving_cost import MovingCollisionCost
 from smp_planner.collision.verification import check_collisions
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.smp import SMP, AdaptSettings, GoalRegion, Robot
