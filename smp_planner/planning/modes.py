@@ -186,10 +186,12 @@ def signatures_3d(
     if not (np.isfinite(lengths) & (lengths > 0.0)).all():
         raise ValueError(f"axis must be finite and not zero, got {axes}")
     result = np.empty((len(points), count, 2), np.int64)
+    planes: dict[tuple[float, ...], FloatArray] = {}
     for m, (center, direction) in enumerate(zip(middles, axes / lengths, strict=True)):
-        across = points @ _plane(direction)
-        along = (points - center) @ direction
-        middle = center @ _plane(direction)
+        key = tuple(direction.tolist())
+        plane = planes[key] = planes[key] if key in planes else _plane(direction)
+        across, along = points @ plane, (points - center) @ direction
+        middle = center @ plane
         distance, height = _nearest_approach(across - middle, along)
         level = np.where(np.abs(height) > heights[m], np.sign(height), 0.0)
         level[distance >= widths[m]] = 0.0
