@@ -19,14 +19,15 @@ __all__ = ["AnalyticMap"]
 
 
 @kernel
-def _fill(values, origin, spacing, truncation, half_extents, shape, rotation, position, size):  # type: ignore[no-untyped-def]
+def _fill(values, planes, origin, spacing, truncation, half_extents, bodies):  # type: ignore[no-untyped-def]
+    shape, rotation, position, size = bodies
     for n in range(len(shape)):
         reach = half_extents[n] + truncation
         center = position[n]
         i0, i1 = window(values.shape[0], origin[0], spacing, center[0], reach[0])
         j0, j1 = window(values.shape[1], origin[1], spacing, center[1], reach[1])
         k0, k1 = window(values.shape[2], origin[2], spacing, center[2], reach[2])
-        for i in range(i0, i1):
+        for i in range(max(i0, planes[0]), min(i1, planes[1])):
             x = origin[0] + spacing * i
             for j in range(j0, j1):
                 y = origin[1] + spacing * j
@@ -58,10 +59,14 @@ class AnalyticMap:
         distance = signed_distance(points, self.obstacles)
         return np.clip(distance, -self.truncation, self.truncation)
 
-    def fill(self, values: NDArray[np.float32], origin: FloatArray, spacing: float) -> None:
+    def fill(
+        self,
+        values: NDArray[np.float32],
+        origin: FloatArray,
+        spacing: float,
+        planes: tuple[int, int] | None = None,
+    ) -> None:
         """Lower the nodes of a grid to the exact distance; see `OccupancyMap.fill`."""
         packed = PackedObstacles.of(self.obstacles)
-        shape, rotation, position, size, _ = packed.arrays
-        extents = packed.half_extents
-        truncation = self.truncation
-        _fill(values, origin, spacing, truncation, extents, shape, rotation, position, size)
+        bodies, extents = packed.arrays[:4], packed.half_extents
+        _fill(values, planes or (0, len(values)), origin, spacing, self.truncation, extents, bodies)

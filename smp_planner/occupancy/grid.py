@@ -228,12 +228,18 @@ class GridMap:
         return self.grid.query(points)
 
     def fill(
-        self, values: NDArray[np.float32], origin: NDArray[np.float64], spacing: float
+        self,
+        values: NDArray[np.float32],
+        origin: NDArray[np.float64],
+        spacing: float,
+        planes: tuple[int, int] | None = None,
     ) -> None:
         """Lower the nodes of a grid to the interpolated distance; see `OccupancyMap.fill`."""
+        mine = slice(*(planes or (0, len(values))))
         axes = [origin[i] + spacing * np.arange(values.shape[i]) for i in range(3)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        np.minimum(values, self.grid.query(points), out=values, casting="same_kind")
+        points = np.stack(np.meshgrid(axes[0][mine], *axes[1:], indexing="ij"), axis=-1)
+        part = values[mine]
+        np.minimum(part, self.grid.query(points), out=part, casting="same_kind")
 
 
 def grid_nodes(
@@ -286,10 +292,7 @@ def fill_slabs(
     def work(mine: slice) -> None:
         for slab in _SLABS[mine]:
             first, last = len(values) * slab // len(_SLABS), len(values) * (slab + 1) // len(_SLABS)
-            if first < last:
-                begin = origin.copy()
-                begin[0] += spacing * first
-                occupancy_map.fill(values[first:last], begin, spacing)
+            occupancy_map.fill(values, origin, spacing, (first, last))
 
     over(len(_SLABS), work)
 

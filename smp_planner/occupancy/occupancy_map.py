@@ -39,7 +39,11 @@ class OccupancyMap(Protocol):
         ...
 
     def fill(
-        self, values: NDArray[np.float32], origin: NDArray[np.float64], spacing: float
+        self,
+        values: NDArray[np.float32],
+        origin: NDArray[np.float64],
+        spacing: float,
+        planes: tuple[int, int] | None = None,
     ) -> None:
         """Lower the nodes of a regular grid to the map's distance, where that is smaller.
 
@@ -47,6 +51,8 @@ class OccupancyMap(Protocol):
             values: (X, Y, Z) m, changed in place; node (i, j, k) is at origin + spacing (i, j, k).
             origin: (3,) m, base frame.
             spacing: m.
+            planes: first of the planes of nodes along X that are lowered, and the one after the
+                last; by default all of them. Several threads may lower some planes each.
         """
         ...
 

@@ -244,8 +244,8 @@ def _lower(values, points, truncation, bodies, networks):  # type: ignore[no-unt
 
 
 @kernel
-def _fill(values, origin, spacing, truncation, half_extents, bodies, networks):  # type: ignore[no-untyped-def]
-    """Lower the nodes of a grid to the composed map's distance."""
+def _fill(values, planes, origin, spacing, truncation, half_extents, bodies, networks):  # type: ignore[no-untyped-def]
+    """Lower the nodes on planes of a grid, (first, end), to the composed map's distance."""
     shape, rotation, position, size = bodies
     w1, b1, w2, b2, w3, b3 = networks
     scale = np.float32(1.0 / truncation)
@@ -253,6 +253,7 @@ def _fill(values, origin, spacing, truncation, half_extents, bodies, networks): 
         s = shape[n]
         reach = half_extents[n] + truncation
         i0, i1 = window(values.shape[0], origin[0], spacing, position[n, 0], reach[0])
+        i0, i1 = max(i0, planes[0]), min(i1, planes[1])
         j0, j1 = window(values.shape[1], origin[1], spacing, position[n, 1], reach[1])
         k0, k1 = window(values.shape[2], origin[2], spacing, position[n, 2], reach[2])
         column = k1 - k0
@@ -333,10 +334,25 @@ class ShapeNetworkMap:
         _lower(values, array.reshape(-1, 3), self.truncation, bodies, self.networks.arrays)
         return values.reshape(array.shape[:-1])
 
-    def fill(self, values: Float32Array, origin: NDArray[np.float64], spacing: float) -> None:
+    def fill(
+        self,
+        values: Float32Array,
+        origin: NDArray[np.float64],
+        spacing: float,
+        planes: tuple[int, int] | None = None,
+    ) -> None:
         """Lower the nodes of a grid to the learned distance; see `OccupancyMap.fill`."""
         learned, exact = self._parts
-        AnalyticMap(exact, self.truncation).fill(values, origin, spacing)
+        AnalyticMap(exact, self.truncation).fill(values, origin, spacing, planes)
         packed = PackedObstacles.of(learned)
         bodies, extents = packed.arrays[:4], packed.half_extents
-        _fill(values, origin, spacing, self.truncation, extents, bodies, self.networks.arrays)
+        _fill(
+            values,
+            planes or (0, len(values)),
+            origin,
+            spacing,
+            self.truncation,
+            extents,
+            bodies,
+            self.networks.arrays,
+        )
