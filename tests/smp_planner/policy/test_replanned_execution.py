@@ -12,7 +12,7 @@ from smp_gym.robot.kinematics import JOINT_VELOCITY
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle
 from smp_planner.planning.clock import RAMP
-from smp_planner.policy.outlook import SAFE_DISTANCE
+from smp_planner.policy.outlook import FACTORS, SAFE_DISTANCE, outlook, turns_of
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 FEW = {"particles": 14}
@@ -106,7 +106,7 @@ def test_a_safe_trajectory_that_takes_effect_is_gone_along_at_once():
     """What was said of the trajectory of before, here that it must be left backwards, is over."""
     replanned = PlannerPolicy.make("smp", "DoubleSidedPlacement", replan_every=10)
     world = gym.make("smp_gym/DoubleSidedPlacement-v0", difficulty="medium", family="moving")
-    retreats = []
+    retreats, settings = [], replanned.planner.plan_settings
     # Whether the arm retreats in a scene hangs on the draws of its plans.
     for seed in (79_705, 79_707, 79_709, 79_710):
         _, _, states, _ = play(replanned, world, seed, steps=60)
@@ -117,7 +117,8 @@ def test_a_safe_trajectory_that_takes_effect_is_gone_along_at_once():
             and now.plan is before.pending.plan
             and now.plan.solved
             and before.factor < 0.0
-            and now.clearance >= SAFE_DISTANCE
+            and outlook(now, now.looks.obstacles, turns_of(now.seen), settings, FACTORS[:1])[1]
+            >= SAFE_DISTANCE
         ]
         if retreats:
             break
