@@ -71,7 +71,7 @@ def test_cells_of_smp_are_whole(rows):
             assert cell == counted(own)
 
 
-@pytest.mark.parametrize("rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "promp"])
+@pytest.mark.parametrize("rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "mp_rl", "detour", "promp"])
 def test_pairs_are_counted(rival, equal):
     lines = page("docs/results.md").splitlines()
     line = next(line for line in lines if line.startswith(f"| `{rival}` |") and " : " in line)
