@@ -71,7 +71,9 @@ def test_cells_of_smp_are_whole(rows):
             assert cell == counted(own)
 
 
-@pytest.mark.parametrize("rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "mp_rl", "detour", "promp"])
+@pytest.mark.parametrize(
+    "rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "mp_rl", "detour", "promp"]
+)
 def test_pairs_are_counted(rival, equal):
     lines = page("docs/results.md").splitlines()
     line = next(line for line in lines if line.startswith(f"| `{rival}` |") and " : " in line)
@@ -109,3 +111,28 @@ def test_planning_anew_is_held_against_planning_once():
         found = re.findall(r"(\d+) \((\d+)–(\d+)\)", line)
         assert [tuple(map(int, numbers)) for numbers in found] == rates
         assert f"| {pairs.count((1, 0))} : {pairs.count((0, 1))} |" in line
+
+
+SEEN = {"1 cm": "0.01", "2 cm": "0.02", "3 cm": "0.03", "depth camera": "0.0"}
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_planning_anew_is_held_against_planning_once_where_looks_err(name):
+    played = defaultdict(dict)
+    for row in shipped("perception.csv.gz"):
+        if row["noise"] == SEEN[name]:
+            episode = row["task"], row["half"], row["seed"]
+            played[episode][row["run"]] = int(row["success"])
+    pairs = [(found["once"], found["anew"]) for found in played.values()]
+    (cells,) = (
+        cells
+        for entry, *cells in lines_of("docs/results.md", "The suite `perception`")
+        if entry == name
+    )
+    rates = []
+    for successes in (sum(once for once, _ in pairs), sum(anew for _, anew in pairs)):
+        interval = rate_interval(successes, len(pairs))
+        shares = successes / len(pairs), interval["low"], interval["high"]
+        rates.append("{} ({}–{})".format(*(round(100 * share) for share in shares)))
+    alone = f"{pairs.count((1, 0))} : {pairs.count((0, 1))}"
+    assert cells == [str(len(pairs)), *rates, alone]
