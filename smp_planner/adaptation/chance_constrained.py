@@ -26,11 +26,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.optimize import minimize
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts, StepConstraint
 from smp_planner.collision.clearances import Clearances
@@ -59,7 +60,7 @@ _HELD = 1e-6
 """Rad or extents: a step at which the prior deviates by no more is as it is."""
 
 
-class ChanceSettings(BaseModel):
+class ChanceSettings(StrictSettings):
     """Settings of the constrained Gaussian.
 
     Attributes:
@@ -73,8 +74,6 @@ class ChanceSettings(BaseModel):
         decay: of a multiplier at most, as a share of its first value: where the path is not, an
             obstacle must not be forgotten. What needs a smaller one is kept with some room.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     risk: float = Field(default=0.01, gt=0.0, lt=0.5)
     rounds: int = Field(default=20, ge=1)

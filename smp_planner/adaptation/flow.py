@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts
 from smp_planner.collision.costs import REFERENCE_STEPS
@@ -18,7 +19,7 @@ from smp_planner.movement_primitives import ProMP, phases
 __all__ = ["FlowSettings", "flow"]
 
 
-class FlowSettings(BaseModel):
+class FlowSettings(StrictSettings):
     """Settings of ProMPs-Diff.
 
     Attributes:
@@ -30,8 +31,6 @@ class FlowSettings(BaseModel):
             each of `costs.REFERENCE_STEPS` steps.
         taper: phase from a pinned one over which the flow rises to its full strength.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     iterations: int = Field(default=100, ge=1)
     flow_time: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)

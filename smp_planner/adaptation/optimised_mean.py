@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts, latent_gradient
 from smp_planner.inference.annealing import linear_decay
@@ -16,7 +17,7 @@ from smp_planner.movement_primitives import ProMP
 __all__ = ["OptimisedMeanSettings", "optimised_mean"]
 
 
-class OptimisedMeanSettings(BaseModel):
+class OptimisedMeanSettings(StrictSettings):
     """Settings of ProMPT-O.
 
     Attributes:
@@ -26,8 +27,6 @@ class OptimisedMeanSettings(BaseModel):
         step_size: of its first iteration, in standard deviations of the prior.
         pairs: mirrored pairs of draws in each round.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rounds: int = Field(default=8, ge=1)
     iterations: int = Field(default=10, ge=1)

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 from torch import Tensor
 
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
 
@@ -29,7 +30,7 @@ _TIMED = 2
 """Iterations after which it is asked how many more there is time for."""
 
 
-class SteinSettings(BaseModel):
+class SteinSettings(StrictSettings):
     """Settings of Algorithm 1.
 
     Attributes:
@@ -40,8 +41,6 @@ class SteinSettings(BaseModel):
             enough of them are good by then. They are checked once.
         good_share: of the particles, that is enough.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     inference: str = "default"
     iterations: int = Field(default=100, ge=1)

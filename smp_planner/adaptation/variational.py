@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts, latent_gradient
 from smp_planner.inference import GaussianVISettings, init_gaussian, step_gaussian
@@ -15,7 +16,7 @@ from smp_planner.movement_primitives import ProMP
 __all__ = ["VariationalSettings", "gaussian_vi"]
 
 
-class VariationalSettings(BaseModel):
+class VariationalSettings(StrictSettings):
     """Settings of Gaussian variational inference.
 
     Attributes:
@@ -23,8 +24,6 @@ class VariationalSettings(BaseModel):
         step_size: of its first iteration, in standard deviations of the prior.
         draws: standard normals in each iteration, over which the costs are averaged.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     iterations: int = Field(default=200, ge=1)
     step_size: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)

@@ -36,12 +36,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from smp_gym.arrays import FloatArray
 from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, Scene
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.agents.posed_scenes import posed, primitive_of
 from smp_planner.agents.training_folder import (
     claimed,
@@ -87,7 +88,7 @@ _SEEDS = 5_000
 """Seeds between the first scenes of two trainings."""
 
 
-class BumpSettings(BaseModel):
+class BumpSettings(StrictSettings):
     """Settings of a training.
 
     Attributes:
@@ -103,8 +104,6 @@ class BumpSettings(BaseModel):
         shift: m, standard deviation of the shift of obstacles from visit to visit.
         exchanged: share of the visits with the obstacles of another scene.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     bumps: int = Field(default=4, ge=1, le=50)
     scenes: int = Field(default=240, ge=1)

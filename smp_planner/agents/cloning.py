@@ -26,7 +26,7 @@ import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
 import smp_gym  # noqa: F401  (registers the environments)
@@ -35,6 +35,7 @@ from smp_gym.observation import observation_space
 from smp_gym.registration import environment_id
 from smp_gym.rollout import Moment, Policy, rollout
 from smp_gym.sampling import sample_scene
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.agents.actor_file import Actor, ActorCard, write_actor
 from smp_planner.agents.training_folder import (
     claimed,
@@ -63,7 +64,7 @@ _CHUNK = 20
 _ARM = 6
 
 
-class CloningSettings(BaseModel):
+class CloningSettings(StrictSettings):
     """Settings of a training.
 
     Attributes:
@@ -77,8 +78,6 @@ class CloningSettings(BaseModel):
         learning_rate: of Adam in the beginning; it falls to zero along half a cosine.
         apart: share of the episodes, the last ones, that are not learned from.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     episodes: int = Field(default=600, ge=2)
     bursts: float = Field(default=0.0, ge=0.0, lt=1.0)

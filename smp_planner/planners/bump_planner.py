@@ -15,11 +15,12 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import ConfigDict, create_model
 
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.planners.agent_file import read_agent
 from smp_planner.planners.bump_policy import look, stacked
 from smp_planner.planners.card_file import shipped_agent
@@ -38,7 +39,7 @@ LEARNED = ("mp_rl", "detour")
 """Names of the planners whose proposals are learned; those of `smp` are their other settings."""
 
 
-class ProposalSettings(BaseModel):
+class ProposalSettings(StrictSettings):
     """Settings of the proposals.
 
     Attributes:
@@ -47,8 +48,6 @@ class ProposalSettings(BaseModel):
         action: "best" proposes as many trajectories as `PlanSettings.particles` says; "mean" the
             policy's mean action alone.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     agent: str = ""
     action: Literal["best", "mean"] = "best"

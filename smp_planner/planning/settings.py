@@ -6,7 +6,9 @@ from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
+
+from smp_gym.strict_settings import StrictSettings
 
 __all__ = ["MOST_PARTICLES", "PlanSettings", "PriorSettings"]
 
@@ -17,7 +19,7 @@ _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
-class PriorSettings(BaseModel):
+class PriorSettings(StrictSettings):
     """Settings of learning a primitive from demonstrations.
 
     Lengths are rad for a robot, or m of its prismatic joints, and extents of the demonstrations for
@@ -37,8 +39,6 @@ class PriorSettings(BaseModel):
             from all of them, as the paper's baselines have it.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     smooth_std: _Positive | Annotated[tuple[_Positive, ...], Field(min_length=1)] = 0.2
     smooth_length_scale: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     basis_functions: int = Field(default=15, ge=4, le=1000)
@@ -47,7 +47,7 @@ class PriorSettings(BaseModel):
     per_component: bool = True
 
 
-class PlanSettings(BaseModel):
+class PlanSettings(StrictSettings):
     """Map, costs and number of tries of a plan.
 
     Lengths are m for a robot, and extents for paths in the plane or in space.
@@ -84,8 +84,6 @@ class PlanSettings(BaseModel):
         retries: how often a problem without a good particle is tried again, with more particles or
             a wider prior, see `smp_planner.planning.tries`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(default=42, ge=1, le=MOST_PARTICLES)
     samples: int = Field(default=200, ge=2, le=10_000)

@@ -14,12 +14,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.interpolate import CubicSpline
 
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
+from smp_gym.strict_settings import StrictSettings
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE, minimum_duration
@@ -66,7 +67,7 @@ SAMPLES = 200
 """T of the trajectories in a plan, as in the demonstrations."""
 
 
-class SearchSettings(BaseModel):
+class SearchSettings(StrictSettings):
     """Settings of what is around a search for paths, whichever it is.
 
     Attributes:
@@ -79,8 +80,6 @@ class SearchSettings(BaseModel):
         shortcuts: iterations of shortcutting.
         duration_limit: s, within which an executable trajectory must be feasible.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(default=4, ge=1)
     margin: float = Field(default=0.005, ge=CLEARANCE_TOLERANCE, allow_inf_nan=False)
