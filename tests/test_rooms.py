@@ -141,7 +141,7 @@ def test_the_check_lets_the_allowed_pass(path: str, source: str) -> None:
 
 
 PLANNER_ROOMS = (
-    ("torch_threads", "movement_primitives", "inference", "occupancy"),
+    ("torch_threads", "strict_settings", "movement_primitives", "inference", "occupancy"),
     ("collision",),
     ("adaptation",),
     ("planning", "batch"),

@@ -31,13 +31,13 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts, StepConstraint
 from smp_planner.collision.clearances import Clearances
 from smp_planner.inference.multipliers import penalty, penalty_slope, updated_multipliers
 from smp_planner.inference.unscented import sigma_points, unscented_moments
 from smp_planner.movement_primitives import ProMP
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = [
     "ChanceSettings",

@@ -10,11 +10,11 @@ from pydantic import Field
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts
 from smp_planner.collision.costs import REFERENCE_STEPS
 from smp_planner.movement_primitives import ProMP, phases
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = ["FlowSettings", "flow"]
 

@@ -12,9 +12,9 @@ import torch
 from pydantic import Field, field_validator, model_validator
 from torch import Tensor
 
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.runs import Good, Runs, Target
 from smp_planner.inference import State, SVGDSettings, converged, init, named_settings, step
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = [
     "SteinSettings",

@@ -7,11 +7,11 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.adaptation.gaussian import one_gaussian
 from smp_planner.adaptation.runs import SceneCosts, latent_gradient
 from smp_planner.inference import GaussianVISettings, init_gaussian, step_gaussian
 from smp_planner.movement_primitives import ProMP
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = ["VariationalSettings", "gaussian_vi"]
 

@@ -42,7 +42,6 @@ from smp_gym.arrays import FloatArray
 from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import Obstacle, Scene
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.agents.posed_scenes import posed, primitive_of
 from smp_planner.agents.training_folder import (
     claimed,
@@ -71,6 +70,7 @@ from smp_planner.planning.bumps import (
     scale_of,
 )
 from smp_planner.planning.problem import Problem
+from smp_planner.strict_settings import StrictSettings
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss"]

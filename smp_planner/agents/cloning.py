@@ -35,7 +35,6 @@ from smp_gym.observation import observation_space
 from smp_gym.registration import environment_id
 from smp_gym.rollout import Moment, Policy, rollout
 from smp_gym.sampling import sample_scene
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.agents.actor_file import Actor, ActorCard, write_actor
 from smp_planner.agents.training_folder import (
     claimed,
@@ -45,6 +44,7 @@ from smp_planner.agents.training_folder import (
 )
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.policy.planner_policy import PlannerPolicy
+from smp_planner.strict_settings import StrictSettings
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["CLONES", "Cloning", "CloningSettings", "DisturbedPolicy", "Episode", "demonstrated"]

@@ -20,7 +20,6 @@ from pydantic import ConfigDict, create_model
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.planners.agent_file import read_agent
 from smp_planner.planners.bump_policy import look, stacked
 from smp_planner.planners.card_file import shipped_agent
@@ -31,6 +30,7 @@ from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings, PriorSettings
 from smp_planner.planning.stopwatch import Stopwatch
+from smp_planner.strict_settings import StrictSettings
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["LEARNED", "BumpPlanner", "ProposalSettings"]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from smp_gym.strict_settings import StrictSettings
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = ["MOST_PARTICLES", "PlanSettings", "PriorSettings"]
 

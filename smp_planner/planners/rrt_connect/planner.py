@@ -20,7 +20,6 @@ from scipy.interpolate import CubicSpline
 from smp_gym.arrays import FloatArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, end_effector_pose, inverse_kinematics
-from smp_gym.strict_settings import StrictSettings
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import CLEARANCE_TOLERANCE, minimum_duration
@@ -47,6 +46,7 @@ from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.tool_constraints import ToolPath
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = [
     "RRTConnectPlanner",
