@@ -36,6 +36,7 @@ __all__ = [
     "ValueAndGradient",
     "VelocityLimitCost",
     "check_trajectories",
+    "evaluated",
     "steps_scale",
 ]
 ValueAndGradient = tuple[FloatArray, FloatArray]
@@ -85,7 +86,8 @@ class CompiledCost(Cost, Protocol):
         ...
 
 
-def _evaluated(cost: CompiledCost, trajectories: FloatArray) -> ValueAndGradient:
+def evaluated(cost: CompiledCost, trajectories: FloatArray) -> ValueAndGradient:
+    """Return the value (P,) and the gradient (P,T,n) of checked trajectories (P,T,n)."""
     value, gradient = np.zeros(len(trajectories)), np.zeros(trajectories.shape)
     cost.add(trajectories, 1.0, value, gradient)
     return value, gradient
@@ -253,7 +255,7 @@ class SelfCollisionCost:
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        return _evaluated(self, check_trajectories(trajectories, self.robot.joints))
+        return evaluated(self, check_trajectories(trajectories, self.robot.joints))
 
     def add(
         self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
@@ -305,7 +307,7 @@ class JointLimitCost:
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        return _evaluated(self, check_trajectories(trajectories, len(self.lower)))
+        return evaluated(self, check_trajectories(trajectories, len(self.lower)))
 
     def add(
         self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
@@ -351,7 +353,7 @@ class VelocityLimitCost:
         q = check_trajectories(trajectories, len(self.velocity))
         if q.shape[1] < 2:
             raise ValueError(f"trajectories must have at least 2 steps, got {q.shape[1]}")
-        return _evaluated(self, q)
+        return evaluated(self, q)
 
     def add(
         self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from smp_gym.arrays import FloatArray
 from smp_gym.compiling import FAST, kernel
 from smp_gym.robot.forward_kernels import link_poses
-from smp_planner.collision.costs import ValueAndGradient, check_trajectories
+from smp_planner.collision.costs import ValueAndGradient, check_trajectories, evaluated
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.planning.constraints import segments
 
@@ -147,10 +147,7 @@ class ToolBoxCost:
 
     def __call__(self, trajectories: ArrayLike) -> ValueAndGradient:
         """Return value (P,) and gradient (P,T,n) of trajectories (P,T,n) rad."""
-        paths = check_trajectories(trajectories, self.robot.joints)
-        value, gradient = np.zeros(len(paths)), np.zeros(paths.shape)
-        self.add(paths, 1.0, value, gradient)
-        return value, gradient
+        return evaluated(self, check_trajectories(trajectories, self.robot.joints))
 
     def add(
         self, trajectories: FloatArray, weight: float, value: FloatArray, gradient: FloatArray
