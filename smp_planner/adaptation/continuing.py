@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from smp_planner.adaptation.runs import Runs, Target
+from smp_planner.adaptation.population import Members, Population
+from smp_planner.adaptation.runs import Runs, SceneCosts
 from smp_planner.adaptation.stein import SteinSettings, inference_for
-from smp_planner.inference import State, init, step
 
 __all__ = ["continue_stein", "moved_memory"]
 
@@ -32,47 +33,58 @@ def moved_memory(memory: Any, change: Tensor) -> Any:
 
 
 def continue_stein(
-    runs: Runs,
-    latent: Tensor,
-    target: Target,
+    runs: Sequence[Runs],
+    latent: Sequence[Tensor],
+    scene: SceneCosts,
     settings: SteinSettings,
     iterations: int,
     step_size: float,
-    memory: Any = None,
-    done: int = 0,
-) -> tuple[Tensor, Any]:
-    """Return particles (B, P, r) after some more iterations, and what the optimiser remembers.
+    memories: Sequence[Any],
+    done: Sequence[int],
+) -> list[tuple[Tensor, Any]]:
+    """Return the particles of all parts after some more iterations, with the optimiser's memory.
 
     The target is met as at the end of a run: nothing is annealed, the map's edge is narrow, and
     steps keep their size.
 
     Args:
-        runs: the priors.
-        latent: (B, P, r) whitened particles.
-        target: the costs.
+        runs: the prior of each part, one run each.
+        latent: of each part, (P_c, r_c) whitened particles.
+        scene: the costs.
         settings: of the run before.
         iterations: how many.
         step_size: of each.
-        memory: of the optimiser, in these coordinates; None begins anew.
-        done: how many iterations the memory is of.
+        memories: of the optimiser, for each part, in these coordinates; None begins anew.
+        done: how many iterations each memory is of.
+
+    Raises:
+        ValueError: a gradient is not finite.
     """
-    first = 0 if memory is None else done
-    inference = replace(
-        inference_for(runs, settings),
-        whiten=True,
-        iterations=first + iterations,
-        annealing=0.0,
-        step_size=step_size,
-        final_step=1.0,
-    )
-    state = init(latent, inference)
-    if memory is not None:
-        state = State(latent, memory, first)
-    for _ in range(iterations):
-        weights = runs.unwhiten(state.particles)
-        gradient = target.gradient(runs.trajectories(weights), 1.0)
-        score = -runs.whiten_gradient(runs.pull_back(gradient))
-        state = step(state, -state.particles, score, inference, validate=False)
-    if not bool(torch.isfinite(state.particles).all()):
-        raise ValueError("the costs' gradient must be finite, got NaN or infinity")
-    return state.particles, state.memory
+    first = [0 if memory is None else own for memory, own in zip(memories, done, strict=True)]
+    parts = [
+        Members.of(
+            run,
+            particles,
+            replace(
+                inference_for(run, settings),
+                whiten=True,
+                iterations=begin + iterations,
+                annealing=0.0,
+                step_size=step_size,
+                final_step=1.0,
+            ),
+            None if memory is None else tuple(average[None] for average in memory),
+        )
+        for run, particles, memory, begin in zip(runs, latent, memories, first, strict=True)
+    ]
+    population = Population(parts, scene)
+    for iteration in range(iterations):
+        population.evaluate()
+        for part, begin in zip(parts, first, strict=True):
+            part.descend(1.0, begin + iteration)
+    return [(torch.from_numpy(part.particles), _of_one_run(part.memory)) for part in parts]
+
+
+def _of_one_run(memory: Any) -> Any:
+    """Return what the optimiser remembers, without the dimension of runs; None if it cannot be."""
+    return tuple(average[0] for average in memory) if isinstance(memory, tuple) else None

@@ -13,8 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,9 +21,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray
+from smp_planner.adaptation.population import Members, Population
 from smp_planner.adaptation.runs import Runs, SceneCosts
 from smp_planner.adaptation.stein import SteinSettings, affordable, inference_for
-from smp_planner.inference import State, SVGDSettings, step
 from smp_planner.inference.hamiltonian import Evaluated, hamiltonian_moves
 from smp_planner.inference.resampling import effective_size, resampled, temperature_rise
 from smp_planner.inference.svgd import LEAPFROGS
@@ -38,77 +37,19 @@ FIRST_ANGLE = 0.08
 """Step, rad, with which Hamiltonian moves begin; each particle's own follows its acceptance."""
 
 
-@dataclass(eq=False)
-class _Part:
-    """The particles (P_c, r_c) that share a prior, with their potential -log p(O|w)."""
+class _Competition(Population):
+    """A population whose particles are weighed and resampled as the temperature rises."""
 
-    runs: Runs
-    inference: SVGDSettings
-    particles: FloatArray
-    value: FloatArray
-    gradient: FloatArray
-    memory: Any = None
-
-    @classmethod
-    def of(cls, runs: Runs, latent: Tensor, inference: SVGDSettings) -> _Part:
-        particles = latent.numpy()
-        empty = np.empty(0)
-        # The temperature is put into the score.
-        part = cls(runs, replace(inference, annealing=0.0), particles, empty, empty)
-        part.memory = inference.optimizer.init(latent[None])
-        return part
-
-    def paths(self, particles: FloatArray) -> FloatArray:
-        """Return the trajectories (P, T, D) of whitened particles (P, r)."""
-        return self.runs.latent_trajectories(torch.from_numpy(particles)[None])[0].numpy()
-
-    def pulled_back(self, slope: FloatArray) -> FloatArray:
-        """Return the gradient (P, r) by whitened particles of one (P, T, D) by trajectories."""
-        return self.runs.latent_gradient(torch.from_numpy(slope)[None])[0].numpy()
-
-    def descend(self, temperature: float, iteration: int) -> None:
-        """Take one iteration of SVGD at a temperature."""
-        particles = torch.from_numpy(self.particles)[None]
-        score = torch.from_numpy(self.gradient)[None] * -temperature
-        state = State(particles, self.memory, iteration)
-        state = step(state, -particles, score, self.inference)
-        self.particles, self.memory = state.particles[0].numpy(), state.memory
-
-    def take(self, chosen: NDArray[np.intp], rng: np.random.Generator) -> None:
-        """Keep the particles chosen, ascending; copies of one are set apart from it."""
-        particles = self.particles[chosen]
-        copies = np.flatnonzero(np.diff(chosen, prepend=-1) == 0)
-        noise = rng.standard_normal((len(copies), particles.shape[1]))
-        particles[copies] = math.sqrt(1.0 - JITTER**2) * particles[copies] + JITTER * noise
-        self.particles, self.memory = particles, _taken(self.memory, chosen)
-
-
-def _taken(memory: Any, chosen: NDArray[np.intp]) -> Any:
-    """Return what an optimiser remembers of the particles chosen."""
-    if isinstance(memory, Tensor):
-        return memory[:, torch.from_numpy(chosen)]
-    if isinstance(memory, tuple):
-        return tuple(_taken(value, chosen) for value in memory)
-    return memory
-
-
-class _Population:
-    """The particles of all parts, which compete; their costs are evaluated together."""
-
-    def __init__(self, parts: Sequence[_Part], scene: SceneCosts, rng: np.random.Generator) -> None:
-        self.parts, self.scene, self.rng = parts, scene, rng
-        self.temperature = 0.0
+    def __init__(
+        self, parts: Sequence[Members], scene: SceneCosts, rng: np.random.Generator
+    ) -> None:
+        super().__init__(parts, scene)
+        self.rng, self.temperature = rng, 0.0
         self._log_weights = np.zeros(sum(len(part.particles) for part in parts))
-
-    @property
-    def present(self) -> list[_Part]:
-        """The parts that have particles."""
-        return [part for part in self.parts if len(part.particles)]
 
     def choose(self, count: int) -> None:
         """Choose fewer of the draws, at the temperature at which so many are worth choosing."""
-        paths = [part.paths(part.particles) for part in self.present]
-        values = self.scene.weighted_sum(np.concatenate(paths))
+        values = self.weighted_sums()
         self.temperature = temperature_rise(-values, 1.0, count)
         self._resample(-self.temperature * values, count)
 
@@ -116,18 +57,17 @@ class _Population:
         """Raise the temperature; resample where too few particles carry the weight."""
         if temperature <= self.temperature:
             return
-        self._log_weights -= (temperature - self.temperature) * self._values()
+        self._log_weights -= (temperature - self.temperature) * self.values
         self.temperature = temperature
         count = len(self._log_weights)
         if effective_size(self._log_weights) < effective_share * count:
-            self._resample(self._log_weights, count)
-            self.evaluate()
+            copies = self._resample(self._log_weights, count)
+            self.evaluate_some([copies[part] for part in self.present])
 
-    def evaluate(self) -> None:
-        """Find the potential of all particles, and its gradient."""
-        found = self._evaluated([part.particles for part in self.present])
-        for part, (value, gradient) in zip(self.present, found, strict=True):
-            part.value, part.gradient = value, gradient
+    def descend(self, iteration: int) -> None:
+        """Take one iteration of SVGD at the present temperature."""
+        for part in self.present:
+            part.descend(self.temperature, iteration)
 
     def move(self, moves: int) -> None:
         """Move the particles by Hamiltonian Monte Carlo.
@@ -152,14 +92,13 @@ class _Population:
             ]
 
         def potential(particles: FloatArray) -> tuple[FloatArray, FloatArray]:
-            found = self._evaluated(apart(particles))
-            values, gradients = zip(*found, strict=True)
+            values, gradients = zip(*self.evaluated(apart(particles)), strict=True)
             return np.concatenate(values), padded(gradients)
 
         moved, _ = hamiltonian_moves(
             Evaluated(
                 padded([part.particles for part in parts]),
-                self._values(),
+                self.values,
                 padded([part.gradient for part in parts]),
             ),
             potential,
@@ -171,32 +110,22 @@ class _Population:
         for part, particles in zip(parts, apart(moved.particles), strict=True):
             part.particles = particles
 
-    def _evaluated(self, particles: Sequence[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
-        """Return -log p(O|w) (P_c,) of whitened particles (P_c, r_c) and its gradient, by parts."""
-        parts = self.present
-        paths = [part.paths(rows) for part, rows in zip(parts, particles, strict=True)]
-        together = paths[0] if len(paths) == 1 else np.concatenate(paths)
-        value, slope = self.scene.evaluate(together, 1.0)
-        last = np.cumsum([len(rows) for rows in paths])[:-1]
-        return [
-            (of_part, part.pulled_back(of_paths))
-            for part, of_part, of_paths in zip(
-                parts, np.split(value, last), np.split(slope, last), strict=True
-            )
-        ]
-
-    def _values(self) -> FloatArray:
-        return np.concatenate([part.value for part in self.present])
-
-    def _resample(self, log_weights: FloatArray, count: int) -> None:
+    def _resample(self, log_weights: FloatArray, count: int) -> dict[Members, NDArray[np.intp]]:
+        """Resample all particles, and return the rows of those that are copies set apart."""
         chosen = resampled(log_weights, count, self.rng)
-        first = 0
+        first, copies = 0, {}
         for part in self.present:
             last = first + len(part.particles)
-            of_part = chosen[(chosen >= first) & (chosen < last)] - first
-            part.take(of_part, self.rng)
+            own = chosen[(chosen >= first) & (chosen < last)] - first
+            part.take(own)
+            # Copies of one follow it, for the indices ascend.
+            copies[part] = np.flatnonzero(np.diff(own, prepend=-1) == 0)
+            noise = self.rng.standard_normal((len(copies[part]), part.particles.shape[1]))
+            mother = part.particles[copies[part]]
+            part.particles[copies[part]] = math.sqrt(1.0 - JITTER**2) * mother + JITTER * noise
             first = last
         self._log_weights = np.zeros(count)
+        return copies
 
 
 def tempered_stein(
@@ -231,9 +160,10 @@ def tempered_stein(
         ValueError: a gradient is not finite.
     """
     inferences = [inference_for(run, settings) for run in runs]
-    population = _Population(
+    population = _Competition(
         [
-            _Part.of(run, draws, inference)
+            # The temperature is put into the score.
+            Members.of(run, draws, replace(inference, annealing=0.0))
             for run, draws, inference in zip(runs, latent, inferences, strict=True)
         ],
         scene,
@@ -260,8 +190,7 @@ def tempered_stein(
         else:
             temperature = 1.0
         population.rise(temperature, inference.resampling)
-        for part in population.present:
-            part.descend(population.temperature, iteration)
+        population.descend(iteration)
         iteration += 1
     if inference.moves and time.perf_counter() < until:
         population.move(inference.moves)

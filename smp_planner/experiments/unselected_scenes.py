@@ -71,6 +71,7 @@ def _svgd(inference: str, iterations: int = 100) -> tuple[str, dict[str, Any]]:
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "smp": ("smp", {}),
     "one width": ("smp", {"widths": (1.0,)}),
+    "50 iterations": ("smp", {"iterations": 50}),
     "no choice": ("smp", {"inference": "no_choice"}),
     "no resampling": ("smp", {"inference": "no_resampling"}),
     "no moves": ("smp", {"inference": "no_moves"}),

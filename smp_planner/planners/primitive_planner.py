@@ -142,6 +142,16 @@ class PrimitivePlanner:
             history=history,
         )
 
+    def plan_once(self, problem: Problem) -> Plan:
+        """Return a plan in one try: an arm in motion has no time for the further ones.
+
+        Raises:
+            UnreachableError: a goal is out of reach.
+            ValueError: the problem is of another dimension than the demonstrations.
+        """
+        one_try = self.plan_settings.model_copy(update={"retries": 0})
+        return plan_problems([problem], self.prior, self.adaptation, one_try)[0]
+
     def replan(self, plan: Plan, problem: Problem, particle: int | None = None) -> Plan:
         """Return a plan for what is left of a problem, from the particles of the last one.
 

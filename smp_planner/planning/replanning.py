@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.robot.kinematics import UnreachableError
@@ -29,7 +28,7 @@ from smp_planner.planning.prior import Prior
 from smp_planner.planning.problem import Problem, difference_of_robots
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.stopwatch import Stopwatch
-from smp_planner.planning.target import SceneTarget, TargetBatch
+from smp_planner.planning.target import SceneTarget
 from smp_planner.planning.threads import Threads, default_threads
 from smp_planner.planning.tool_constraints import Poses, ToolPath
 from smp_planner.torch_threads import one_thread
@@ -267,7 +266,7 @@ def replan(
             with watch.stage("map"):
                 target = SceneTarget(problem, settings, threads=pool, maps=maps)
             with watch.stage("inference"):
-                parts = [_continued(part, target, own, settings, iterations) for part in parts]
+                parts = _continued(parts, target, own, settings, iterations)
         weights = torch.cat([part.primitive.unwhiten(part.latent) for part in parts])
         costs["prior"] = np.concatenate([part.surprise for part in parts])
         with watch.stage("verification"):
@@ -288,30 +287,32 @@ def replan(
 
 
 def _continued(
-    part: Part, target: SceneTarget, own: SteinSettings, settings: PlanSettings, iterations: int
-) -> Part:
-    """Return particles after some more iterations."""
-    memory: Any = None
-    if part.memory is not None:
-        memory = tuple(average[None] for average in part.memory)
-    latent: Tensor
-    latent, memory = continue_stein(
-        Runs.of([part.primitive], settings.planning_steps),
-        part.latent[None],
-        TargetBatch([target]),
+    parts: Sequence[Part],
+    target: SceneTarget,
+    own: SteinSettings,
+    settings: PlanSettings,
+    iterations: int,
+) -> list[Part]:
+    """Return the particles of all parts after some more iterations."""
+    found = continue_stein(
+        [Runs.of([part.primitive], settings.planning_steps) for part in parts],
+        [part.latent for part in parts],
+        target,
         own,
         iterations,
         STEP_SIZE,
-        memory,
-        part.iteration,
+        [part.memory for part in parts],
+        [part.iteration for part in parts],
     )
-    kept = isinstance(memory, tuple)
-    return replace(
-        part,
-        latent=latent[0],
-        memory=tuple(average[0] for average in memory) if kept else None,
-        iteration=part.iteration + iterations if kept else 0,
-    )
+    return [
+        replace(
+            part,
+            latent=latent,
+            memory=memory,
+            iteration=0 if memory is None else part.iteration + iterations,
+        )
+        for part, (latent, memory) in zip(parts, found, strict=True)
+    ]
 
 
 def _bonus(present: int, classes: IntArray, duration: FloatArray) -> FloatArray:

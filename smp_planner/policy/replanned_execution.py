@@ -57,7 +57,7 @@ LAG = 0.15
 _STANDING_RATE = 1e-6
 
 PATIENCE = 4
-"""Plans without a good particle, one after the other, after which a whole plan is made."""
+"""Plans without a good particle, one after the other, after which one begins from the prior."""
 
 _GAIN = 0.005
 """m, by which a trajectory that is not good must keep farther away to be taken all the same."""
@@ -77,8 +77,8 @@ class Replanner(Protocol):
         """Settings of plans."""
         ...
 
-    def plan(self, problems: Sequence[Problem]) -> list[Plan]:
-        """Return one plan for each problem."""
+    def plan_once(self, problem: Problem) -> Plan:
+        """Return a plan in one try, from the prior."""
         ...
 
     def replan(self, plan: Plan, problem: Problem, particle: int | None = None) -> Plan:
@@ -192,7 +192,7 @@ def _ask(
         plan = planner.replan(pursuit.plan, problem, pursuit.particle)
     else:
         try:
-            (plan,) = planner.plan([replace(problem, seed=problem.seed + 1 + pursuit.replans)])
+            plan = planner.plan_once(replace(problem, seed=problem.seed + 1 + pursuit.replans))
         except UnreachableError:
             return replace(
                 pursuit,

@@ -31,10 +31,13 @@ def cages():
 
 def test_another_try_solves_what_the_first_did_not_and_keeps_as_many_particles(cages):
     few = {"particles": 14, "samples": 100}
-    once, again = (
-        make_planner("smp", "Placement", settings=few | {"retries": retries}).plan(cages)
-        for retries in (0, 2)
-    )
+    planners = [
+        make_planner("smp", "Placement", settings=few | {"retries": retries}) for retries in (0, 2)
+    ]
+    once, again = (planner.plan(cages) for planner in planners)
+    unsolved = [not plan.solved for plan in once].index(True)
+    asked_for_one = planners[1].plan_once(cages[unsolved])
+    np.testing.assert_array_equal(asked_for_one.trajectories, once[unsolved].trajectories)
     solved = [np.array([plan.solved for plan in plans]) for plans in (once, again)]
     assert solved[1].sum() > solved[0].sum()
     for first, last in zip(once, again, strict=True):
