@@ -30,9 +30,7 @@ class Threads:
     """A few threads, the caller's own among them, that compute on rows of arrays.
 
     What they call must give up the interpreter's lock, or they only take turns. They start when
-    first used, and end with the context. Meanwhile each, the caller's own too, runs on its share of
-    the process's cores, where the system lets it: where threads sleep and wake this often, a
-    virtual machine's scheduler, for one, has them take turns on one core.
+    first used, and end with the context.
 
     Args:
         count: threads, at least 1.
@@ -48,7 +46,6 @@ class Threads:
         self._jobs: SimpleQueue[tuple[Callable[[slice], None], slice] | None] = SimpleQueue()
         self._done: SimpleQueue[BaseException | None] = SimpleQueue()
         self._workers: list[threading.Thread] = []
-        self._cores: set[int] = set()
 
     def __enter__(self) -> Threads:
         """Return itself."""
@@ -66,9 +63,6 @@ class Threads:
         for worker in self._workers:
             worker.join()
         self._workers.clear()
-        if self._cores:
-            _run_on(self._cores)
-            self._cores = set()
 
     def over(self, rows: int, work: Callable[[slice], None]) -> None:
         """Call `work` for slices that make up the rows 0 .. `rows` - 1, and wait for all of them.
@@ -81,7 +75,9 @@ class Threads:
             work(slice(0, rows))
             return
         while len(self._workers) < count - 1:
-            self._start()
+            worker = threading.Thread(target=self._serve, daemon=True)
+            worker.start()
+            self._workers.append(worker)
         edges = [rows * k // count for k in range(count + 1)]
         for k in range(1, count):
             self._jobs.put((work, slice(edges[k], edges[k + 1])))
@@ -95,21 +91,7 @@ class Threads:
         if failed is not None:
             raise failed
 
-    def _start(self) -> None:
-        """Start one more thread; with the first, settle the caller on its share of the cores."""
-        if not self._workers and hasattr(os, "sched_getaffinity"):
-            cores = os.sched_getaffinity(0)
-            if len(cores) >= self.count and _run_on(_share(cores, 0, self.count)):
-                self._cores = cores
-        number = len(self._workers) + 1
-        share = _share(self._cores, number, self.count)
-        worker = threading.Thread(target=self._serve, args=(share,), daemon=True)
-        worker.start()
-        self._workers.append(worker)
-
-    def _serve(self, cores: set[int]) -> None:
-        if cores:
-            _run_on(cores)
+    def _serve(self) -> None:
         while (job := self._jobs.get()) is not None:
             try:
                 job[0](job[1])
@@ -117,17 +99,3 @@ class Threads:
                 self._done.put(error)
             else:
                 self._done.put(None)
-
-
-def _share(cores: set[int], number: int, count: int) -> set[int]:
-    """Return the cores of one of so many threads."""
-    return set(sorted(cores)[number::count])
-
-
-def _run_on(cores: set[int]) -> bool:
-    """Let the calling thread run on some cores alone; return whether the system allows it."""
-    try:
-        os.sched_setaffinity(0, cores)
-    except OSError:
-        return False
-    return True

@@ -1,6 +1,5 @@
 """Threads share rows, hand on what fails, and change no plan."""
 
-import os
 import threading
 
 import numpy as np
@@ -137,20 +136,3 @@ def test_every_planner_plans_the_same_on_any_number_of_threads(task, torch_threa
                 np.testing.assert_array_equal(getattr(one, part), getattr(other, part), name)
             assert one.chosen == other.chosen
             assert len(one.trajectories)
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="asks Linux for the cores")
-def test_threads_run_on_cores_of_their_own_and_the_caller_gets_its_cores_back():
-    cores, seen = os.sched_getaffinity(0), {}
-    meeting = threading.Barrier(2, timeout=30.0)
-
-    def work(part):
-        meeting.wait()
-        seen[part.start] = os.sched_getaffinity(0)
-
-    with Threads(2) as pool:
-        pool.over(2, work)
-    assert os.sched_getaffinity(0) == cores
-    assert seen[0] | seen[1] == cores
-    if len(cores) > 1:
-        assert not seen[0] & seen[1]
