@@ -13,13 +13,19 @@ import typer
 from rich.console import Console
 
 from smp_planner.benchmark.options import chosen_names, run_command
-from smp_planner.experiments.narrow_places import FAMILIES, narrow_table, solve_narrow_places
+from smp_planner.experiments.narrow_places import (
+    FAMILIES,
+    METHODS,
+    narrow_table,
+    solve_narrow_places,
+)
 from smp_planner.experiments.public_arms import PUBLIC_ARMS
 
 
 def main(
     arms: Annotated[str, typer.Option(help="Names, with commas between.")] = "ur5,panda",
     families: Annotated[str, typer.Option(help="Names, with commas between.")] = ",".join(FAMILIES),
+    methods: Annotated[str, typer.Option(help="Names, with commas between.")] = ",".join(METHODS),
     problems: Annotated[int, typer.Option(min=1, max=1000, help="Of each family and arm.")] = 10,
     out: Annotated[Path, typer.Option(help="File of results.", dir_okay=False)] = Path(
         "results/narrow_places.json"
@@ -36,7 +42,8 @@ def main(
     console = Console()
     chosen = chosen_names(arms, tuple(PUBLIC_ARMS), "--arms")
     places = chosen_names(families, tuple(FAMILIES), "--families")
-    results = solve_narrow_places(chosen, places, problems, out, console, jobs)
+    compared = chosen_names(methods, METHODS, "--methods")
+    results = solve_narrow_places(chosen, places, compared, problems, out, console, jobs)
     console.print(narrow_table(results))
 
 

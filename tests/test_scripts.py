@@ -15,7 +15,7 @@ SCRIPTS = {
 }
 WITH_COMMANDS = {
     "controls": ("run", "table"),
-    "lasa": ("boxes", "compare", "modulate", "posterior", "tune"),
+    "lasa": ("boxes", "compare", "modulate", "posterior", "shapes", "tune"),
     "table_two": ("run", "show"),
 }
 EXAMPLES = [

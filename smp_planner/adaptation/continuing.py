@@ -72,6 +72,7 @@ def continue_stein(
                 annealing=0.0,
                 step_size=step_size,
                 final_step=1.0,
+                fading=False,
             ),
             None if memory is None else tuple(average[None] for average in memory),
         )

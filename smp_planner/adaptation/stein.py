@@ -42,8 +42,8 @@ class SteinSettings(StrictSettings):
         good_share: of the particles, that is enough.
     """
 
-    inference: str = "default"
-    iterations: int = Field(default=100, ge=1)
+    inference: str = "tempered"
+    iterations: int = Field(default=50, ge=1)
     step_size: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
     early_stop: bool = False
     good_share: float = Field(default=0.9, gt=0.0, le=1.0)
@@ -66,7 +66,10 @@ class SteinSettings(StrictSettings):
     @model_validator(mode="after")
     def _stops_or_competes(self) -> SteinSettings:
         if self.early_stop and self.competes:
-            raise ValueError(f"early_stop must be off with inference {self.inference!r}")
+            raise ValueError(
+                f"early_stop must be off with inference {self.inference!r}, whose particles "
+                "compete until the end; inference 'svgd' has it"
+            )
         return self
 
     @field_validator("inference")

@@ -18,14 +18,13 @@ import numpy as np
 from rich.progress import track
 
 from smp_gym.arrays import FloatArray
-from smp_planner.adaptation import adaptation
 from smp_planner.experiments.lasa_scenes import (
     FIGURE_1,
     FIGURE_2B,
+    LASA_METHODS,
     LasaScene,
     Method,
     learn,
-    settings,
 )
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row
@@ -92,7 +91,7 @@ def box_rows(particles: int, repetitions: int) -> list[Row]:
     """
     rows: list[Row] = []
     for scene in (FIGURE_1, FIGURE_2B):
-        primitive, method = learn(scene.shape), Method(adaptation("smp"), settings())
+        primitive, method = learn(scene.shape), LASA_METHODS["smp"]
         for seed in track(range(repetitions), scene.shape):
             rows += [
                 box_row(prior, primitive, scene, method, particles, seed) for prior in BOX_PRIORS

@@ -12,7 +12,7 @@ from smp_gym.arrays import BoolArray, FloatArray
 from smp_planner.adaptation import adaptation
 from smp_planner.experiments.comparison import adapted
 from smp_planner.experiments.figures import draw_side_by_side
-from smp_planner.experiments.lasa_scenes import LasaScene, Method, learn, settings
+from smp_planner.experiments.lasa_scenes import LASA_METHODS, LasaScene, Method, learn
 from smp_planner.experiments.paths import clearances
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import AnyOf, Plan, ViaPoint
@@ -64,12 +64,9 @@ def modulate(
     Raises:
         ValueError: as `lasa_scenes.learn` and `SMP.adapt`.
     """
-    exact = settings()
-    soft = exact.model_copy(update={"modulation": "likelihood"})
-    methods = {
-        "exact": Method(adaptation("smp"), exact),
-        "soft": Method(adaptation("smp", iterations=200), soft),
-    }
+    exact = LASA_METHODS["smp"]
+    soft = exact.settings.model_copy(update={"modulation": "likelihood"})
+    methods = {"exact": exact, "soft": Method(adaptation("smp", iterations=200), soft)}
     rows: list[Row] = []
     panels, drawn = {}, []
     for name, scene in scenes.items():

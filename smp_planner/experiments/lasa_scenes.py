@@ -123,7 +123,7 @@ def settings(
 LASA_METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "promp": Method(adaptation("promp"), settings()),
-        "smp": Method(adaptation("smp"), settings(weight=1.0)),
+        "smp": Method(adaptation("smp", iterations=100), settings(weight=10.0)),
         "promp_diff": Method(
             adaptation(
                 "promp_diff", iterations=1000, flow_time=0.002, longest_move=0.004, fit_std=0.0025

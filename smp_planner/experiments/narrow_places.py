@@ -30,7 +30,14 @@ from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 from smp_planner.planning.postures import reaching
 from smp_planner.planning.tool_goals import GoalRegion
 
-__all__ = ["FAMILIES", "NarrowPlace", "narrow_place", "narrow_table", "solve_narrow_places"]
+__all__ = [
+    "FAMILIES",
+    "METHODS",
+    "NarrowPlace",
+    "narrow_place",
+    "narrow_table",
+    "solve_narrow_places",
+]
 
 _OVERSHOOT = 0.02
 """m, of the spheres that both planners see."""
@@ -43,6 +50,9 @@ _ROUNDS = 20
 
 _ITERATIONS = 20_000
 """Of RRT-Connect."""
+
+METHODS = ("rrt_connect", "smp", "cpromp", "prompt_o", "promp_diff", "promp")
+"""A single search on the same spheres and pairs, and the methods of `SMP.adapt` as they are."""
 
 Regions = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Lower and upper corners, m, between which the tool is at the start and at the goal."""
@@ -228,9 +238,9 @@ def narrow_place(robot: Robot, ready: FloatArray, family: str, seed: int) -> Nar
     return NarrowPlace(tuple(obstacles), *ends)
 
 
-def _solved(item: tuple[str, str, int]) -> dict[str, Any]:
-    """Return what solves the problem of an arm, a family and a seed."""
-    arm, family, seed = item
+def _solved(item: tuple[str, str, int, tuple[str, ...]]) -> dict[str, Any]:
+    """Return which methods solve the problem of an arm, a family and a seed."""
+    arm, family, seed, methods = item
     robot, ready = PUBLIC_ARMS[arm].robot(_OVERSHOOT), np.array(PUBLIC_ARMS[arm].ready)
     # Pairs of spheres that overlap in the posture for which an arm is built are no collision.
     still = swings(ready, ready, np.random.default_rng(0))
@@ -240,24 +250,33 @@ def _solved(item: tuple[str, str, int]) -> dict[str, Any]:
     drawn = swings(place.start, place.goal, np.random.default_rng(seed))
     demonstrations = np.clip(drawn, robot.model.lower, robot.model.upper)
     primitive = SMP.fit(demonstrations, robot=robot)
-    assert primitive.robot is not None
     result: dict[str, Any] = {"posed": True}
-    begin = time.process_time()
+    for method in methods:
+        begin = time.process_time()
+        if method == "rrt_connect":
+            result[method] = _searched(primitive, place, seed)
+        else:
+            plan = primitive.adapt(
+                place.obstacles, start=place.start, goal=place.goal, seed=seed, method=method
+            )
+            result[method] = bool(plan.good.any())
+        result[f"{method}_seconds"] = time.process_time() - begin
+    return result
+
+
+def _searched(primitive: SMP, place: NarrowPlace, seed: int) -> bool:
+    """Return whether a single search finds a path."""
+    assert primitive.robot is not None
     checker = EdgeChecker(primitive.robot.model, place.obstacles)
     rng = np.random.default_rng(seed)
-    path = rrt_connect(place.start, place.goal[None], checker, rng, iterations=_ITERATIONS)
-    result["rrt_connect"] = path is not None
-    result["rrt_connect_seconds"] = time.process_time() - begin
-    begin = time.process_time()
-    plan = primitive.adapt(place.obstacles, start=place.start, goal=place.goal, seed=seed)
-    result["smp"] = bool(plan.good.any())
-    result["smp_seconds"] = time.process_time() - begin
-    return result
+    goal = place.goal[None]
+    return rrt_connect(place.start, goal, checker, rng, iterations=_ITERATIONS) is not None
 
 
 def solve_narrow_places(
     arms: Sequence[str],
     families: Sequence[str],
+    methods: Sequence[str],
     problems: int,
     out: Path,
     console: Console,
@@ -268,26 +287,27 @@ def solve_narrow_places(
     Args:
         arms: of `PUBLIC_ARMS`.
         families: of `FAMILIES`.
+        methods: of `METHODS`.
         problems: of each family and arm, with seeds from 0.
         out: JSON file of results.
         console: for the progress.
         jobs: worker processes.
     """
     items = {
-        f"{arm} {family} {seed}": (arm, family, seed)
+        f"{arm} {family} {seed}": (arm, family, seed, tuple(methods))
         for seed in range(problems)
         for arm in arms
         for family in families
     }
-    terms = {"overshoot": _OVERSHOOT, "iterations": _ITERATIONS}
+    terms = {"overshoot": _OVERSHOOT, "iterations": _ITERATIONS, "methods": list(methods)}
     return kept_results(out, terms, _solved, items, "problems", console, jobs)
 
 
 def narrow_table(results: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Return a row for each arm and family, and one for each arm: shares with Wilson intervals."""
+    """Return a row for each arm and family, and one for each arm, with Wilson intervals."""
     table = Table(title="Narrow places: problems that are solved")
-    columns = ("arm", "family", "posed", "rrt_connect", "smp", "smp where rrt_connect does")
-    for column in columns:
+    methods = [name for name in METHODS if any(name in result for result in results.values())]
+    for column in ("arm", "family", "posed", *methods):
         table.add_column(column, justify="left" if column in ("arm", "family") else "right")
     rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for name, result in results.items():
@@ -297,20 +317,14 @@ def narrow_table(results: Mapping[str, Mapping[str, Any]]) -> Table:
         rows[arm, "all"] = [r for (of, _), each in rows.items() if of == arm for r in each]
     for (arm, family), each in rows.items():
         posed = [r for r in each if r["posed"]]
-        both = [r["smp"] for r in posed if r["rrt_connect"]]
-        table.add_row(
-            arm,
-            family,
-            f"{len(posed)} of {len(each)}",
-            _share([r["rrt_connect"] for r in posed]),
-            _share([r["smp"] for r in posed]),
-            _share(both),
-        )
+        shares = [_share([r[method] for r in posed], family == "all") for method in methods]
+        table.add_row(arm, family, f"{len(posed)} of {len(each)}", *shares)
     return table
 
 
-def _share(solved: Sequence[bool]) -> str:
-    if not solved:
-        return "-"
-    rate = rate_interval(sum(solved), len(solved))
-    return f"{sum(solved)} of {len(solved)} ({rate['low']:.0%} to {rate['high']:.0%})"
+def _share(solved: Sequence[bool], interval: bool) -> str:
+    count, whole = sum(solved), len(solved)
+    if not (interval and whole):
+        return f"{count} of {whole}"
+    rate = rate_interval(count, whole)
+    return f"{count} of {whole} ({100.0 * rate['low']:.0f}–{100.0 * rate['high']:.0f} %)"

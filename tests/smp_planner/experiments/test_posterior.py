@@ -78,9 +78,9 @@ def test_rows_of_settings() -> None:
         lasa_posterior.VARIANTS["fig1"], 2, SMCSettings(50, moves=2, last_moves=2)
     )
     ground = replace(ground, prior=ground.prior[::20])
-    names = [lasa_posterior.EXACT, "default", "no_repulsion"]
+    names = [lasa_posterior.EXACT, "svgd", "no_repulsion"]
     rows = [*ground.reference_rows(), *(ground.row(name, 12, 3) for name in names)]
-    assert rows[3] == ground.row("default", 12, 3)
+    assert rows[3] == ground.row("svgd", 12, 3)
     summaries = summarise(rows, ["setting"])
     assert [s["setting"] for s in summaries] == [lasa_posterior.POSTERIOR, *names]
     for column in lasa_posterior.settings_columns(ground):

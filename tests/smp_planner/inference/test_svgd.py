@@ -164,7 +164,7 @@ def test_default_setting_finds_the_closed_form_posterior_of_a_primitive():
     exact = prior.condition(0.6, target, torch.full((2,), std**2, dtype=torch.float64))
     at = torch.tensor([0.6], dtype=torch.float64)
 
-    settings = replace(named_settings("default"), iterations=500)
+    settings = replace(named_settings("svgd"), iterations=500)
     weights = prior.sample(100, torch.Generator().manual_seed(0))
     state = init(prior.whiten(weights), settings)
     for _ in range(settings.iterations):
@@ -283,7 +283,7 @@ def _changed(other, settings):
 
 
 def test_the_named_settings_change_what_they_say():
-    default, tempered = named_settings("default"), named_settings("tempered")
+    svgd, tempered = named_settings("svgd"), named_settings("tempered")
     competing = {"annealed", "schedule", "overdraw", "resampling", "moves"}
     changes = {
         "quick": {"optimizer", "step_size", "iterations"},
@@ -304,9 +304,9 @@ def test_the_named_settings_change_what_they_say():
         "tempered_no_annealing": "annealing",
         "tempered_imq": "kernel",
     }
-    assert set(SETTINGS) == {"default", "paper", *changes, *without}
+    assert set(SETTINGS) == {"svgd", "paper", *changes, *without}
     for name, changed in changes.items():
-        assert _changed(named_settings(name), default) == changed
+        assert _changed(named_settings(name), svgd) == changed
     for name, left_out in without.items():
         assert _changed(named_settings(name), tempered) == {left_out}
 
@@ -328,7 +328,7 @@ def test_the_schedule_scales_the_annealed_part():
 
 def test_a_metric_is_for_a_metric_kernel():
     with pytest.raises(ValueError, match="kernel must be a MetricKernel to be given a metric"):
-        named_settings("default").with_metric(torch.eye(3))
+        named_settings("svgd").with_metric(torch.eye(3))
     unknown = named_settings("path_kernel")
     score = _normal(5, 2)
     with pytest.raises(ValueError, match="root of a MetricKernel must be given"):
@@ -336,7 +336,7 @@ def test_a_metric_is_for_a_metric_kernel():
 
 
 def test_an_unknown_setting_lists_those_that_exist():
-    with pytest.raises(ValueError, match=r"one of default, paper, quick, tempered, .*; got 'fast'"):
+    with pytest.raises(ValueError, match=r"one of svgd, paper, quick, tempered, .*; got 'fast'"):
         named_settings("fast")
 
 

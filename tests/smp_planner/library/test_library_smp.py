@@ -282,7 +282,8 @@ def test_a_learned_map_leads_round_the_obstacles(primitive):
 
 def test_inference_stops_early_where_particles_are_good_and_only_there(primitive):
     runs = [
-        adaptation("smp", iterations=200, early_stop=early_stop) for early_stop in (False, True)
+        adaptation("smp", inference="svgd", iterations=200, early_stop=early_stop)
+        for early_stop in (False, True)
     ]
     easy, hopeless = [Circle((60.0, 60.0), 4.0)], [Rectangle((100.0, 0.0), (5.0, 5000.0))]
     whole, short = (primitive.adapt(easy, **ENDS, method=run, particles=10) for run in runs)

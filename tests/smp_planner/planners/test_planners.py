@@ -115,7 +115,7 @@ def test_adaptation_is_what_frees_the_particles(smp):
     assert np.mean([plan.costs["obstacles"] < 1.0 for plan in adapted]) > 0.6
 
 
-@pytest.mark.parametrize("inference", [name for name in SETTINGS if name != "default"])
+@pytest.mark.parametrize("inference", [name for name in SETTINGS if name != "svgd"])
 def test_the_other_settings_plan_too(inference, scene):
     planner = make_planner("smp", "Placement", settings={"inference": inference})
     plan = planner.plan([problem_of(scene)])[0]
@@ -124,7 +124,7 @@ def test_the_other_settings_plan_too(inference, scene):
 
 
 def test_an_inference_that_is_none_is_an_error_that_names_those_that_are():
-    with pytest.raises(ValueError, match=r"one of default, paper, .*, cyclic; got 'fast'"):
+    with pytest.raises(ValueError, match=r"one of svgd, paper, .*, cyclic; got 'fast'"):
         make_planner("smp", "Placement", settings={"inference": "fast"})
 
 
@@ -256,7 +256,7 @@ def test_a_batch_of_unequal_problems_gives_the_plans_of_each(smp, scene, plan):
 
 
 @pytest.mark.parametrize(
-    "own", [{"inference": "path_kernel"}, {"inference": "default", "early_stop": True}]
+    "own", [{"inference": "path_kernel"}, {"inference": "svgd", "early_stop": True}]
 )
 def test_runs_with_a_metric_or_an_end_of_their_own_do_not_see_the_batch(own, scene):
     planner = make_planner("smp", "Placement", settings={"iterations": 30, "retries": 0, **own})

@@ -24,7 +24,7 @@ def planned(primitive, inference, **how):
     return primitive.adapt(BALL, method=method, **REQUEST, **how)
 
 
-@pytest.mark.parametrize("inference", ["default", "tempered"])
+@pytest.mark.parametrize("inference", ["svgd", "tempered"])
 def test_to_keep_particles_changes_no_bit_of_the_plan(primitive, inference):
     without = planned(primitive, inference)
     plan = planned(primitive, inference, history=3)
@@ -42,7 +42,7 @@ def test_to_keep_particles_changes_no_bit_of_the_plan(primitive, inference):
 
 def test_the_first_ones_are_the_draws_of_the_prior(primitive):
     draws = primitive.adapt(BALL, method="promp", **REQUEST)
-    first = planned(primitive, "default", history=4).history[0]
+    first = planned(primitive, "svgd", history=4).history[0]
     np.testing.assert_array_equal(first.trajectories, draws.trajectories)
     np.testing.assert_array_equal(first.collision_free, draws.collision_free)
     np.testing.assert_array_equal(first.clearance, draws.clearance)
