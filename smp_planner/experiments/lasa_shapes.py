@@ -25,7 +25,7 @@ RADII = 5.0, 8.0
 _OBSTACLES = 2
 
 _PHASES = 0.25, 0.75
-"""Between which an obstacle lies beside the mean."""
+"""Between which an obstacle lies beside a demonstration."""
 
 _APART = 5.0
 """mm between an obstacle and every demonstrated start and end, at least."""
@@ -66,7 +66,7 @@ COLUMNS = (
 
 
 def crowded_scene(primitive: SMP, shape: str, seed: int) -> LasaScene:
-    """Return a scene of a shape with two circles of `RADII` beside the mean of its demonstrations.
+    """Return a scene of a shape with two circles of `RADII` beside its demonstrations.
 
     Args:
         primitive: of the shape.
@@ -78,13 +78,13 @@ def crowded_scene(primitive: SMP, shape: str, seed: int) -> LasaScene:
     """
     rng = np.random.default_rng([zlib.crc32(shape.encode()), seed])
     demonstrations = np.stack(primitive.demonstrations)
-    # The middle one of the demonstrations, for their mean is no path where they are of several.
-    mean = demonstrations[rng.integers(len(demonstrations))]
     ends = demonstrations[:, [0, -1]].reshape(-1, 2)
     circles: list[Circle] = []
     for _ in range(_TRIES):
         radius = rng.uniform(*RADII)
-        place = mean[int(rng.uniform(*_PHASES) * (len(mean) - 1))]
+        # Of one demonstration: the mean of several patterns is near none of them.
+        demonstration = demonstrations[rng.integers(len(demonstrations))]
+        place = demonstration[int(rng.uniform(*_PHASES) * (len(demonstration) - 1))]
         center = place + rng.normal(0.0, 0.5 * radius, 2)
         if np.linalg.norm(ends - center, axis=1).min() > radius + _APART:
             circles.append(Circle((float(center[0]), float(center[1])), float(radius)))

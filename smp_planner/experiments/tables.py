@@ -91,10 +91,11 @@ def summarise(rows: Sequence[Row], by: Sequence[str]) -> list[dict[str, str | Sp
 
     Args:
         rows: all with the same columns.
-        by: columns of text; the others are numbers or None and are summarised.
+        by: columns of text; of the others those of numbers or None are summarised, and what is text
+            in all rows, as the name of a repetition, is left out.
 
     Raises:
-        ValueError: rows of different columns, a number that is not finite, or text elsewhere.
+        ValueError: rows of different columns, a number that is not finite, or text among numbers.
     """
     groups: dict[tuple[str, ...], list[Row]] = {}
     for index, row in enumerate(rows):
@@ -104,11 +105,12 @@ def summarise(rows: Sequence[Row], by: Sequence[str]) -> list[dict[str, str | Sp
                 f"rows[0] has {sorted(rows[0])}"
             )
         groups.setdefault(tuple(str(row[name]) for name in by), []).append(row)
+    texts = {name for name in rows[0] if all(isinstance(row[name], str) for row in rows)}
     summaries = []
     for key, members in groups.items():
         summary: dict[str, str | Spread] = dict(zip(by, key, strict=True))
         for name in members[0]:
-            if name not in by:
+            if name not in by and name not in texts:
                 summary[name] = Spread.of([_number(name, row[name]) for row in members])
         summaries.append(summary)
     return summaries

@@ -201,8 +201,6 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
         "tempered_no_repulsion": replace(_TEMPERED, repulsion=False),
         "tempered_no_annealing": replace(_TEMPERED, annealing=0.0),
         "fading": replace(_TEMPERED, fading=True),
-        "fading5": replace(_TEMPERED, fading=True, moves=5),
-        "fading6": replace(_TEMPERED, fading=True, moves=6),
         "tempered_imq": replace(_TEMPERED, kernel=InverseMultiquadric()),
         "no_repulsion": replace(_SVGD, repulsion=False),
         "raw": replace(_SVGD, whiten=False),
@@ -213,14 +211,19 @@ SETTINGS: Mapping[str, SVGDSettings] = MappingProxyType(
         "cyclic": replace(_SVGD, schedule=cyclic_annealing),
     }
 )
-"""The settings that are compared: ours, the paper's, ours in half as many iterations (averages of
-fewer iterations, so that what was learned of wide edges is forgotten, and longer steps), particles
-as a population that competes on its path from the prior to the posterior ("tempered"), and the same
-without the choice among draws, without resampling, without the moves at the end, without repulsion,
-without annealing, with another kernel (inverse multi-quadric). The rest is ours
-with one thing changed: particles on their own, raw weights, the paper's bandwidth, another kernel
-(that one, or of the distance of paths, whose metric `SVGDSettings.with_metric` gives),
-no annealing, or cycles of it."""
+"""The settings that are compared.
+
+"tempered", the default of `smp`: particles as a population that competes on its path from the prior
+to the posterior. Then the same without the choice among draws, without resampling, without the
+moves at the end, without repulsion, without annealing, with repulsion that fades, and with the
+inverse multi-quadric kernel.
+
+"svgd": particles that do not compete, with an annealed score. "paper": as printed. "quick": "svgd"
+in half as many iterations, with averages of fewer of them, so that what was learned of wide edges
+of the map is forgotten, and longer steps. The rest is "svgd" with one thing changed: particles on
+their own, raw weights, the paper's bandwidth, another kernel ("imq", or "path_kernel" of the
+distance of paths, whose metric `SVGDSettings.with_metric` gives), no annealing, or cycles of it.
+"""
 
 
 def named_settings(name: str) -> SVGDSettings:

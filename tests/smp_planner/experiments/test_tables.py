@@ -64,11 +64,16 @@ def test_files_hold_the_same(tmp_path: Path) -> None:
     assert "42.0 ± 0.0 (42–42)" in narrow.file.getvalue()
 
 
+def test_names_of_repetitions_are_in_no_summary() -> None:
+    (summary,) = summarise([{"a": "x", "b": 1.0}, {"a": "y", "b": 2.0}], [])
+    assert list(summary) == ["b"]
+
+
 def test_errors() -> None:
     with pytest.raises(ValueError, match=r"rows\[1\] has \['a', 'b'\], rows\[0\] has \['a'\]"):
         summarise([{"a": 1.0}, {"a": 1.0, "b": 2.0}], [])
     with pytest.raises(ValueError, match="a must be a finite number or None, got 'x'"):
-        summarise([{"a": "x"}], [])
+        summarise([{"a": "x"}, {"a": 1.0}], [])
     with pytest.raises(ValueError, match="a must be a finite number or None, got nan"):
         summarise([{"a": float("nan")}], [])
 

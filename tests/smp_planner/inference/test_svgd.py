@@ -278,6 +278,22 @@ def test_single_precision_stays_single_precision():
     assert step(init(score, settings), score, score, settings).particles.dtype == torch.float32
 
 
+def test_repulsion_fades_into_the_score_of_each_particle():
+    """In the middle of a run the direction is half of Stein's, in the end none of it is."""
+    particles = torch.randn(6, 3, generator=torch.Generator().manual_seed(0)).double()
+    settings = SVGDSettings(
+        optimizer=GradientAscent(), step_size=1.0, final_step=1.0, iterations=8, annealing=0.0
+    )
+    fading = replace(settings, fading=True)
+    zeros = torch.zeros_like(particles)
+    for iteration, share in ((0, 1.0), (4, 0.5), (6, 0.25)):
+        moved = [
+            step(State(particles, None, iteration), -particles, zeros, own).particles - particles
+            for own in (fading, settings, replace(settings, repulsion=False))
+        ]
+        torch.testing.assert_close(moved[0], share * moved[1] + (1.0 - share) * moved[2])
+
+
 def _changed(other, settings):
     return {k for k, v in vars(other).items() if v != vars(settings)[k]}
 
@@ -303,6 +319,7 @@ def test_the_named_settings_change_what_they_say():
         "tempered_no_repulsion": "repulsion",
         "tempered_no_annealing": "annealing",
         "tempered_imq": "kernel",
+        "fading": "fading",
     }
     assert set(SETTINGS) == {"svgd", "paper", *changes, *without}
     for name, changed in changes.items():
