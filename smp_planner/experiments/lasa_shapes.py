@@ -86,7 +86,9 @@ def crowded_scene(primitive: SMP, shape: str, seed: int) -> LasaScene:
         demonstration = demonstrations[rng.integers(len(demonstrations))]
         place = demonstration[int(rng.uniform(*_PHASES) * (len(demonstration) - 1))]
         center = place + rng.normal(0.0, 0.5 * radius, 2)
-        if np.linalg.norm(ends - center, axis=1).min() > radius + _APART:
+        room = np.linalg.norm(ends - center, axis=1).min() > radius + _APART
+        # What touches no demonstration is in nobody's way.
+        if room and np.linalg.norm(demonstrations - center, axis=-1).min() < radius:
             circles.append(Circle((float(center[0]), float(center[1])), float(radius)))
         if len(circles) == _OBSTACLES:
             end = demonstrations[:, -1].mean(axis=0)
