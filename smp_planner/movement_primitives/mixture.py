@@ -8,13 +8,17 @@ all components at once would find the same groups or a bad optimum.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.cluster.vq import ClusterError, kmeans2
 from torch import Tensor
 
 from smp_planner.movement_primitives.basis import GaussianBasis
@@ -23,15 +27,25 @@ from smp_planner.movement_primitives.promp import ProMP
 from smp_planner.movement_primitives.samples import checked_demonstrations
 from smp_planner.torch_threads import one_thread
 
-__all__ = ["LEAST_MODE_SIZE", "SEPARATION", "ProMPMixture", "demonstrated_modes", "shared_out"]
+__all__ = [
+    "SEPARATION",
+    "SEPARATION_OF_PAIRS",
+    "ProMPMixture",
+    "demonstrated_modes",
+    "shared_out",
+]
 
 SEPARATION = 2.4
-"""Distance of the means of two groups, over the sum of their radii, from which they are modes. The
-halves of one group lie nearer, at 1.3 if it is Gaussian along a line and at 1.7 if it is uniform;
-of 7 or 14 draws from one Gaussian in three or more dimensions, less than 1 % pass for modes."""
+"""Distance of the means of two groups, over the sum of their radii, from which they are modes. Of 7
+or 14 draws from one Gaussian in two or more dimensions, less than 1 % pass for modes."""
 
-LEAST_MODE_SIZE = 3
-"""Least number of demonstrations in a mode; fewer are outliers of another."""
+SEPARATION_OF_PAIRS = 4.0
+"""The same where one of the groups has two members, whose radius chance may make small."""
+
+_MOST_MODES = 20
+
+_STARTS = 30
+"""Of k-means."""
 
 _COMPARED_PHASES = 200
 """Phases over which the distance of two paths is averaged."""
@@ -47,13 +61,14 @@ def demonstrated_modes(
     """Return the groups that demonstrations fall into, as tuples of their indices.
 
     Each demonstration is given the weights that fit it best; the distance of two is that of their
-    paths, root mean square over phase. A group is divided by 2-means, begun at the two members
-    that are farthest apart, if the two halves lie `SEPARATION` times farther from each other than
-    the sum of their radii (root mean square distances from the mean); then their halves are
-    tried. Fewer than `LEAST_MODE_SIZE` demonstrations are no mode.
+    paths, root mean square over phase. Ward's clustering joins them, two groups at a time, so that
+    the sum of squares grows least, and so proposes a division into every number of groups. A
+    demonstration that is left alone belongs to the nearest group. Taken is the finest division of
+    which any two groups lie `SEPARATION` times farther apart than the sum of their radii: the root
+    mean square distances from the mean, with the size less one for a divisor.
 
-    If it is known how many there are, the group whose division takes the most from the sum of
-    squares is divided, until there are so many.
+    If it is known how many there are, k-means divides them. A warning says where these are fewer
+    than are found: a Gaussian of two patterns has draws that are like neither.
 
     Args:
         demonstrations: N arrays (T_j, D).
@@ -67,7 +82,7 @@ def demonstrated_modes(
     """
     basis = basis or GaussianBasis()
     checked = checked_demonstrations(demonstrations, fewest=1, nan_is_missing=nan_is_missing)
-    everything, most = tuple(range(len(checked))), max(1, len(checked) // 2)
+    most = max(1, len(checked) // 2)
     if modes is not None and not 1 <= modes <= most:
         raise ValueError(
             f"modes must be 1 .. {most}, as a primitive is learned from two demonstrations at "
@@ -76,74 +91,83 @@ def demonstrated_modes(
     root = basis.path_root(_COMPARED_PHASES)
     weights = [fitted_weights(d.detach().cpu().double()[None], basis)[0] for d in checked]
     points = torch.stack([(root @ w.unflatten(0, (basis.count, -1))).flatten() for w in weights])
+    divisions = _divisions(points.numpy())
+    found = next(each for each in divisions if _separated(points.numpy(), each))
     if modes is None:
-        return _divided(points.numpy(), everything)
-    groups = [everything]
-    while len(groups) < modes:
-        groups = _with_one_more(points.numpy(), groups)
-    return tuple(groups)
-
-
-def _divided(points: NDArray[np.float64], group: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    parts = _halves(points, group)
-    if min(map(len, parts)) < LEAST_MODE_SIZE:
-        return (group,)
-    means = [points[list(part)].mean(axis=0) for part in parts]
-    radii = [math.sqrt(_sum_of_squares(points, part) / len(part)) for part in parts]
-    if np.linalg.norm(means[0] - means[1]) < SEPARATION * sum(radii):
-        return (group,)
-    return tuple(mode for part in parts for mode in _divided(points, part))
-
-
-def _with_one_more(
-    points: NDArray[np.float64], groups: list[tuple[int, ...]]
-) -> list[tuple[int, ...]]:
-    """Return the groups with the one divided for which it takes the most from its squares."""
-    gains = []
-    for index, group in enumerate(groups):
-        parts = _halves(points, group)
-        if min(map(len, parts)) >= 2:
-            kept = sum(_sum_of_squares(points, part) for part in parts)
-            gains.append((_sum_of_squares(points, group) - kept, index, parts))
-    if not gains:
-        sizes = ", ".join(str(len(group)) for group in groups)
-        raise ValueError(
-            f"modes must be at most {len(groups)} for these demonstrations: groups of {sizes} "
-            "cannot be divided further into parts of at least two"
+        return found
+    if modes < len(found):
+        warnings.warn(
+            f"demonstrations fall into {len(found)} groups, of "
+            f"{', '.join(str(len(group)) for group in found)}; with modes={modes} one primitive is "
+            "learned of several of them, and its draws may be like none",
+            stacklevel=2,
         )
-    _, index, parts = max(gains, key=lambda gain: gain[0])
-    return groups[:index] + list(parts) + groups[index + 1 :]
+    if modes == 1:
+        return (tuple(range(len(checked))),)
+    return _k_means(points.numpy(), modes)
 
 
-def _sum_of_squares(points: NDArray[np.float64], group: tuple[int, ...]) -> float:
-    """Return the sum of the squared distances of a group's points from their mean."""
-    members = points[list(group)]
-    return float(np.square(members - members.mean(axis=0)).sum())
+def _k_means(points: NDArray[np.float64], count: int) -> tuple[tuple[int, ...], ...]:
+    """Return points (N, d) in so many groups of at least two, of the least sum of squares found."""
+    best: tuple[tuple[int, ...], ...] | None = None
+    least = math.inf
+    for seed in range(_STARTS):
+        try:
+            means, labels = kmeans2(points, count, iter=100, minit="++", rng=seed, missing="raise")
+        except ClusterError:
+            continue  # A group has lost all members.
+        groups = [tuple(np.flatnonzero(labels == label).tolist()) for label in range(count)]
+        squares = float(np.square(points - means[labels]).sum())
+        if squares < least and min(map(len, groups)) >= 2:
+            best, least = tuple(sorted(groups)), squares
+    if best is None:
+        raise ValueError(
+            f"modes must be less for these {len(points)} demonstrations, which do not fall into "
+            f"groups of at least two; got {count}"
+        )
+    return best
 
 
-def _halves(
-    points: NDArray[np.float64], group: tuple[int, ...]
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the two parts of a group by 2-means, first the one with its first member."""
-    first = _two_means(points[list(group)])
-    first = first if first[0] else ~first
-    members = np.array(group)
-    return tuple(members[first].tolist()), tuple(members[~first].tolist())
+def _divisions(points: NDArray[np.float64]) -> list[tuple[tuple[int, ...], ...]]:
+    """Return divisions of points (N, d) into groups of at least two, the finest first."""
+    everything = (tuple(range(len(points))),)
+    if len(points) < 2:
+        return [everything]
+    tree = linkage(points, "ward")
+    most = min(len(points), 2 * _MOST_MODES)
+    found = [_groups(points, fcluster(tree, count, "maxclust")) for count in range(most, 1, -1)]
+    ordered = sorted((each for each in found if each), key=len, reverse=True)
+    return [*ordered, everything]
 
 
-def _two_means(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the points (N, d) that belong to the first of two means."""
-    distances = np.linalg.norm(points[:, None] - points, axis=-1)
-    first, second = np.unravel_index(distances.argmax(), distances.shape)
-    means = points[[first, second]]
-    halves = np.zeros(len(points), np.bool_)
-    for _ in range(len(points)):
-        nearer = np.linalg.norm(points[:, None] - means, axis=-1)
-        halves = nearer[:, 0] <= nearer[:, 1]
-        if halves.all() or not halves.any():
-            break
-        means = np.stack([points[halves].mean(axis=0), points[~halves].mean(axis=0)])
-    return halves
+def _groups(points: NDArray[np.float64], labels: NDArray[np.int32]) -> tuple[tuple[int, ...], ...]:
+    """Return the members of each label, those that are alone with the nearest group."""
+    members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+    groups = [group.tolist() for group in members if len(group) > 1]
+    if not groups:
+        return ()
+    means = np.stack([points[group].mean(axis=0) for group in groups])
+    for group in members:
+        if len(group) == 1:
+            nearest = int(np.linalg.norm(means - points[group], axis=1).argmin())
+            groups[nearest] += group.tolist()
+    return tuple(sorted(tuple(sorted(group)) for group in groups))
+
+
+def _separated(points: NDArray[np.float64], groups: Sequence[tuple[int, ...]]) -> bool:
+    """Return whether any two groups lie as far apart as modes do."""
+    own = [points[list(group)] for group in groups]
+    means = [group.mean(axis=0) for group in own]
+    radii = [
+        math.sqrt(np.square(group - mean).sum() / max(len(group) - 1, 1))
+        for group, mean in zip(own, means, strict=True)
+    ]
+    for i, j in combinations(range(len(groups)), 2):
+        pair = min(len(groups[i]), len(groups[j])) < 3
+        least = (SEPARATION_OF_PAIRS if pair else SEPARATION) * (radii[i] + radii[j])
+        if not np.linalg.norm(means[i] - means[j]) > least:
+            return False
+    return True
 
 
 def shared_out(count: int, shares: Sequence[float] | NDArray[np.float64]) -> list[int]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from smp_gym.datasets import lasa
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.movement_primitives import (
     GaussianBasis,
@@ -120,10 +121,34 @@ def test_what_varies_evenly_is_one_group(seed):
     assert len(demonstrated_modes(paths(rng, np.linspace(-1, 1, 14), spread=0.0))) == 1
 
 
-def test_two_odd_demonstrations_and_equal_ones_are_no_modes():
+def test_two_that_are_alike_are_a_mode_and_an_odd_one_or_equal_ones_are_none():
     rng = np.random.default_rng(0)
-    assert len(demonstrated_modes(paths(rng, [0.0, 0.0, 0.0, 5.0, 5.0]))) == 1
+    assert demonstrated_modes(paths(rng, [0.0, 5.0, 0.0, 0.0, 5.0])) == ((0, 2, 3), (1, 4))
+    assert len(demonstrated_modes(paths(rng, [0.0, 0.0, 0.0, 5.0]))) == 1
     assert len(demonstrated_modes(paths(rng, [0.0, 0.0, 0.0], spread=0.0))) == 1
+
+
+@pytest.mark.parametrize("count", [7, 14])
+def test_draws_of_one_gaussian_pass_for_modes_less_than_once_in_a_hundred(count):
+    rng = np.random.default_rng(count)
+    phase = np.linspace(0.0, 1.0, 20)[:, None]
+    waves = np.concatenate([np.sin(np.pi * phase), np.sin(2 * np.pi * phase)], axis=1)
+    # Two dimensions of equal spread in each of which a path may differ.
+    drawn = rng.standard_normal((300, count, 2))
+    found = [demonstrated_modes([(waves @ own)[:, None] for own in draw]) for draw in drawn]
+    assert np.mean([len(groups) > 1 for groups in found]) < 0.02
+
+
+def test_patterns_of_lasa_are_told_apart():
+    """Three patterns of 3, 2 and 2 demonstrations, two of others, and one of a plain shape."""
+    sizes = {
+        shape: [len(group) for group in demonstrated_modes(lasa.demonstrations(shape))]
+        for shape in lasa.shape_names()
+    }
+    assert sorted(sizes.pop("Multi_Models_1")) == [2, 2, 3]
+    several = {name: sizes.pop(name) for name in list(sizes) if name.startswith("Multi_Models")}
+    assert all(sorted(found) == [3, 4] for found in several.values())
+    assert all(found == [7] for found in sizes.values())
 
 
 def test_shipped_demonstrations_have_the_modes_of_their_task():
@@ -171,8 +196,10 @@ def test_fit_recovers_the_mixture_that_made_the_demonstrations():
 
 def test_as_many_groups_are_made_as_are_asked_for():
     bends = paths(np.random.default_rng(0), [-1.0] * 4 + [1.0] * 4 + [1.5] * 4)
-    assert demonstrated_modes(bends, modes=1) == (tuple(range(12)),)
-    assert demonstrated_modes(bends, modes=2) == (tuple(range(4)), tuple(range(4, 12)))
+    with pytest.warns(UserWarning, match=r"fall into 3 groups, of 4, 4, 4; with modes=1 one"):
+        assert demonstrated_modes(bends, modes=1) == (tuple(range(12)),)
+    with pytest.warns(UserWarning, match="with modes=2 one"):
+        assert demonstrated_modes(bends, modes=2) == (tuple(range(4)), tuple(range(4, 12)))
     three = tuple(tuple(range(a, a + 4)) for a in (0, 4, 8))
     assert demonstrated_modes(bends, modes=3) == three
     mixture = ProMPMixture.fit(bends, modes=4)
@@ -190,7 +217,7 @@ def test_modes_out_of_range_are_errors(modes):
 
 def test_demonstrations_that_do_not_divide_are_an_error():
     alone = paths(np.random.default_rng(0), [0.0, 0.0, 0.0, 9.0], spread=0.01)
-    message = "modes must be at most 1 for these demonstrations: groups of 4 cannot be divided"
+    message = "modes must be less for these 4 demonstrations, .* groups of at least two; got 2"
     with pytest.raises(ValueError, match=message):
         ProMPMixture.fit(alone, modes=2)
 
