@@ -23,6 +23,7 @@ from smp_planner.experiments.lasa_scenes import (
 from smp_planner.experiments.paths import classes, similarity
 from smp_planner.experiments.posterior import Reference, columns, exact_draws, posterior_row
 from smp_planner.experiments.tables import Column, Row
+from smp_planner.inference import named_settings
 from smp_planner.inference.smc import SMCSettings
 from smp_planner.library.smp import SMP, Circle
 
@@ -41,6 +42,9 @@ POSTERIOR = "posterior (SMC)"
 
 EXACT = "draws of it"
 """Setting in the rows of as many draws from the posterior as there are particles."""
+
+_ITERATIONS = {True: 50, False: 100}
+"""Of SVGD, by whether particles compete: then half as many are enough."""
 
 _ADAPT_SETTINGS = settings().model_copy(update={"samples": 200})
 
@@ -126,7 +130,9 @@ class Ground:
             every = len(self.posterior.paths)
             paths = self.posterior.paths[rng.choice(every, particles, replace=False)]
         else:
-            method = Method(adaptation("smp", inference=setting), _ADAPT_SETTINGS)
+            iterations = _ITERATIONS[named_settings(setting).competes]
+            run = adaptation("smp", inference=setting, iterations=iterations)
+            method = Method(run, _ADAPT_SETTINGS)
             paths = adapted(
                 self.primitive, self.variant.scene, method, particles, seed
             ).trajectories
