@@ -27,7 +27,7 @@ def test_obstacles_lie_across_the_shape_and_leave_its_ends_free(shape):
 
 def test_every_shape_has_a_scene():
     for shape in lasa.shape_names():
-        assert crowded_scene(learn(shape, modes=1), shape, 0).obstacles
+        assert crowded_scene(learn(shape), shape, 0).obstacles
 
 
 def test_rows_are_of_each_scene_and_method():
