@@ -42,7 +42,11 @@ or 14 draws from one Gaussian in two or more dimensions, less than 1 % pass for 
 SEPARATION_OF_PAIRS = 4.0
 """The same where one of the groups has two members, whose radius chance may make small."""
 
-_MOST_MODES = 20
+_EQUAL = 1e-6
+"""Radius of a pair, over its distance from another group, up to which the two are copies."""
+
+_FINEST = 40
+"""Groups into which demonstrations are divided at most; those of one member are no mode."""
 
 _STARTS = 30
 """Of k-means."""
@@ -113,7 +117,11 @@ def _k_means(points: NDArray[np.float64], count: int) -> tuple[tuple[int, ...], 
     least = math.inf
     for seed in range(_STARTS):
         try:
-            means, labels = kmeans2(points, count, iter=100, minit="++", rng=seed, missing="raise")
+            # Equal points have no chance to be chosen, of all of them each 0 / 0.
+            with np.errstate(invalid="ignore"):
+                means, labels = kmeans2(
+                    points, count, iter=100, minit="++", rng=seed, missing="raise"
+                )
         except ClusterError:
             continue  # A group has lost all members.
         groups = [tuple(np.flatnonzero(labels == label).tolist()) for label in range(count)]
@@ -134,8 +142,8 @@ def _divisions(points: NDArray[np.float64]) -> list[tuple[tuple[int, ...], ...]]
     if len(points) < 2:
         return [everything]
     tree = linkage(points, "ward")
-    most = min(len(points), 2 * _MOST_MODES)
-    found = [_groups(points, fcluster(tree, count, "maxclust")) for count in range(most, 1, -1)]
+    finest = min(len(points), _FINEST)
+    found = [_groups(points, fcluster(tree, count, "maxclust")) for count in range(finest, 1, -1)]
     ordered = sorted((each for each in found if each), key=len, reverse=True)
     return [*ordered, everything]
 
@@ -163,9 +171,12 @@ def _separated(points: NDArray[np.float64], groups: Sequence[tuple[int, ...]]) -
         for group, mean in zip(own, means, strict=True)
     ]
     for i, j in combinations(range(len(groups)), 2):
-        pair = min(len(groups[i]), len(groups[j])) < 3
-        least = (SEPARATION_OF_PAIRS if pair else SEPARATION) * (radii[i] + radii[j])
-        if not np.linalg.norm(means[i] - means[j]) > least:
+        apart = float(np.linalg.norm(means[i] - means[j]))
+        pairs = [radii[k] for k in (i, j) if len(groups[k]) < 3]
+        # Two that are equal are one, copied: they say nothing of how far one's like may be.
+        if pairs and min(pairs) <= _EQUAL * apart:
+            return False
+        if not apart > (SEPARATION_OF_PAIRS if pairs else SEPARATION) * (radii[i] + radii[j]):
             return False
     return True
 

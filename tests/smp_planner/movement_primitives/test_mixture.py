@@ -1,5 +1,7 @@
 """The mixture of primitives against torch's own distributions, autograd and known groups."""
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -128,6 +130,11 @@ def test_two_that_are_alike_are_a_mode_and_an_odd_one_or_equal_ones_are_none():
     assert len(demonstrated_modes(paths(rng, [0.0, 0.0, 0.0], spread=0.0))) == 1
 
 
+def test_copies_are_no_modes():
+    once = paths(np.random.default_rng(0), [0.0] * 4)
+    assert len(demonstrated_modes([*once, *once])) == 1
+
+
 @pytest.mark.parametrize("count", [7, 14])
 def test_draws_of_one_gaussian_pass_for_modes_less_than_once_in_a_hundred(count):
     rng = np.random.default_rng(count)
@@ -220,6 +227,10 @@ def test_demonstrations_that_do_not_divide_are_an_error():
     message = "modes must be less for these 4 demonstrations, .* groups of at least two; got 2"
     with pytest.raises(ValueError, match=message):
         ProMPMixture.fit(alone, modes=2)
+    equal = paths(np.random.default_rng(0), [0.0] * 4, spread=0.0)
+    with warnings.catch_warnings(), pytest.raises(ValueError, match=message):
+        warnings.simplefilter("error")
+        ProMPMixture.fit(equal, modes=2)
 
 
 @pytest.mark.parametrize("learn", [demonstrated_modes, ProMPMixture.fit])
