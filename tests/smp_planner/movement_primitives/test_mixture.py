@@ -228,9 +228,10 @@ def test_demonstrations_that_do_not_divide_are_an_error():
     with pytest.raises(ValueError, match=message):
         ProMPMixture.fit(alone, modes=2)
     equal = paths(np.random.default_rng(0), [0.0] * 4, spread=0.0)
-    with warnings.catch_warnings(), pytest.raises(ValueError, match=message):
+    with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ProMPMixture.fit(equal, modes=2)
+        with pytest.raises(ValueError, match=message):
+            ProMPMixture.fit(equal, modes=2)
 
 
 @pytest.mark.parametrize("learn", [demonstrated_modes, ProMPMixture.fit])
