@@ -22,6 +22,7 @@ from smp_planner.adaptation.runs import Adapt, Good, Runs, SceneCosts, StepConst
 from smp_planner.adaptation.stein import SteinSettings, stein
 from smp_planner.adaptation.tempered import tempered_stein
 from smp_planner.adaptation.variational import VariationalSettings, gaussian_vi
+from smp_planner.strict_settings import StrictSettings
 
 __all__ = [
     "ADAPTATIONS",
@@ -42,7 +43,7 @@ __all__ = [
 ]
 
 
-class Unadapted(BaseModel, frozen=True, extra="forbid"):
+class Unadapted(StrictSettings):
     """Settings of conditioning alone: there are none."""
 
 

@@ -43,9 +43,6 @@ POSTERIOR = "posterior (SMC)"
 EXACT = "draws of it"
 """Setting in the rows of as many draws from the posterior as there are particles."""
 
-_ITERATIONS = {True: 50, False: 100}
-"""Of SVGD, by whether particles compete: then half as many are enough."""
-
 _ADAPT_SETTINGS = settings().model_copy(update={"samples": 200})
 
 
@@ -130,7 +127,7 @@ class Ground:
             every = len(self.posterior.paths)
             paths = self.posterior.paths[rng.choice(every, particles, replace=False)]
         else:
-            iterations = _ITERATIONS[named_settings(setting).competes]
+            iterations = named_settings(setting).iterations
             run = adaptation("smp", inference=setting, iterations=iterations)
             method = Method(run, _ADAPT_SETTINGS)
             paths = adapted(

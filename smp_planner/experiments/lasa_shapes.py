@@ -1,4 +1,4 @@
-"""All shapes of LASA among large obstacles, by the library's defaults of each method."""
+"""All shapes of LASA among large obstacles, adapted by every method."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _APART = 5.0
 _TRIES = 10_000
 
 _LIBRARY = AdaptSettings(samples=1000, retries=0)
-"""What `SMP.adapt` takes, but one try only, as in the other experiments, and finer paths."""
+"""Default settings of `SMP.adapt`, with one try and finer paths, as in the other experiments."""
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {

@@ -143,7 +143,7 @@ def test_draws_of_one_gaussian_pass_for_modes_less_than_once_in_a_hundred(count)
     # Two dimensions of equal spread in each of which a path may differ.
     drawn = rng.standard_normal((300, count, 2))
     found = [demonstrated_modes([(waves @ own)[:, None] for own in draw]) for draw in drawn]
-    assert np.mean([len(groups) > 1 for groups in found]) < 0.02
+    assert np.mean([len(groups) > 1 for groups in found]) < 0.01
 
 
 def test_patterns_of_lasa_are_told_apart():
