@@ -57,6 +57,9 @@ def main(
             "--frozen", help="The first scenes of the frozen lists instead: for the last word only."
         ),
     ] = False,
+    first: Annotated[
+        int, typer.Option(min=0, help="Place of the first scene in the frozen lists.")
+    ] = 0,
     references: Annotated[
         int | None,
         typer.Option(min=0, help="Scenes of each task that have draws of the posterior [all]."),
@@ -83,12 +86,16 @@ def main(
     chosen = chosen_names(tasks, TASKS, "--tasks")
     if frozen:
         shortest = min(len(load_episodes(Cell(task, difficulty))) for task in chosen)
-        if scenes > shortest:
+        if first + scenes > shortest:
             raise typer.BadParameter(
-                f"must be at most {shortest}, the length of the frozen lists; got {scenes}",
+                f"must, with --first, be at most {shortest}, the length of the frozen lists; got "
+                f"{scenes} from {first} on",
                 param_hint="--scenes",
             )
-        numbers, where = range(scenes), f"the first {scenes} scenes of the frozen lists"
+        numbers = range(first, first + scenes)
+        where = f"the scenes {first} to {first + scenes - 1} of the frozen lists"
+    elif first:
+        raise typer.BadParameter(f"goes with --frozen alone; got {first}", param_hint="--first")
     else:
         numbers = tuning_seeds(seed, scenes)
         where = f"{scenes} scenes, seeds from {seed} on"

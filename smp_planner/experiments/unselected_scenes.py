@@ -164,7 +164,7 @@ def cells_of(
     references: int | None = None,
     executed: int = 0,
 ) -> list[SceneCell]:
-    """Return the cells of scenes of tasks.
+    """Return the cells of scenes of tasks, in turn, so that what is done is as much of each task.
 
     Args:
         tasks: names.
@@ -186,7 +186,7 @@ def cells_of(
             references is None or place < references,
             executed,
         )
-        for task, (place, number) in product(tasks, list(enumerate(numbers)))
+        for (place, number), task in product(list(enumerate(numbers)), tasks)
     ]
 
 
