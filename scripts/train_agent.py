@@ -1,4 +1,4 @@
-"""Train a reinforcement-learning agent on a task: stable-baselines3's SAC, as a rule with HER.
+"""Train a reinforcement-learning agent of stable-baselines3 on a task: SAC with hindsight, or PPO.
 
 `smp_planner.agents.training` says what the folder holds that is written.
 """
@@ -18,7 +18,7 @@ from rich.console import Console
 
 from smp_gym.assets import asset_path
 from smp_gym.scene import DIFFICULTIES, TASKS
-from smp_planner.agents.hyper_parameters import HyperParameters
+from smp_planner.agents.hyper_parameters import LEARNERS, HyperParameters
 from smp_planner.agents.training import Training
 from smp_planner.benchmark.options import (
     AgentFolder,
@@ -33,14 +33,20 @@ from smp_planner.benchmark.options import (
 def main(
     task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = "Placement",
     difficulty: Annotated[str, typer.Option(help=f"One of {', '.join(DIFFICULTIES)}.")] = "none",
-    dense: Annotated[bool, typer.Option(help="Train on the dense reward.")] = False,
+    agent: Annotated[
+        str,
+        typer.Option(
+            help="Name of its hyper-parameters: sac_her (sparse reward, hindsight), "
+            "sac_demonstrations (the same, shown a planner's episodes), sac_dense, or ppo (dense)."
+        ),
+    ] = "sac_her",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 300_000,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, exploration, episodes.")] = 0,
     out: AgentFolder = None,
     settings: Annotated[
         Path | None,
         typer.Option(
-            help="Hyper-parameters; by default the task's in envs_assets/agents/.",
+            help="Hyper-parameters by name; by default envs_assets/agents/learner_settings.json.",
             exists=True,
             dir_okay=False,
         ),
@@ -56,17 +62,19 @@ def main(
     """
     one_of(task, TASKS, "--task")
     one_of(difficulty, DIFFICULTIES, "--difficulty")
-    name = f"{task}{'Dense' if dense else ''}"
-    folder = out or Path("results") / "agents" / f"{name}-{difficulty}-{seed}"
+    one_of(agent, LEARNERS, "--agent")
+    folder = out or Path("results") / "agents" / f"{agent}-{task}-{difficulty}-{seed}"
     torch.set_num_threads(threads)
     try:
         training = Training(
             folder,
+            agent=agent,
             task=task,
             difficulty=difficulty,
-            dense=dense,
             seed=seed,
-            settings=HyperParameters.from_json(settings or asset_path("agents", f"{name}.json")),
+            settings=HyperParameters.from_json(
+                settings or asset_path("agents", "learner_settings.json"), agent, task
+            ),
         )
     except (OSError, ValueError) as error:
         raise typer.BadParameter(str(error)) from None
@@ -74,6 +82,8 @@ def main(
     if training.steps:
         console.print(f"going on from step {training.steps}")
     try:
+        with progress_bar("shown", None, console) as (bar, row):
+            training.show(lambda done, total: bar.update(row, completed=done, total=total))
         with progress_bar("success", steps, console) as (bar, row):
 
             def progress(done: int, rate: float) -> None:
@@ -88,8 +98,8 @@ def main(
         training.close()
     for which, result in (("at the end", final), ("best", best)):
         console.print(
-            f"{name}, {difficulty}, {which}: {result.successes} of {result.episodes} evaluation "
-            f"episodes, {result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after "
+            f"{agent}, {task}, {difficulty}, {which}: {result.successes} of {result.episodes} "
+            f"evaluation episodes, {result.rate:.1%} ({result.low:.1%}–{result.high:.1%}), after "
             f"{result.steps} steps"
         )
     tell(f"see {folder}")

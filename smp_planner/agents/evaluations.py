@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from stable_baselines3 import SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
 
 from smp_gym.atomic_files import replacing
 from smp_gym.rollout import rollout
@@ -57,7 +57,7 @@ class Evaluation:
         return cls(**{field.name: kinds[str(field.type)](row[field.name]) for field in fields(cls)})
 
 
-def evaluate(model: SAC, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluation:
+def evaluate(model: BaseAlgorithm, env: gymnasium.Env[Any, Any], seeds: range) -> Evaluation:
     """Play the episodes of some seeds.
 
     Args:

@@ -1,110 +1,143 @@
-"""Hyper-parameters of agents: data, a JSON file per environment id in `envs_assets/agents/`."""
+"""Hyper-parameters of stable-baselines3's agents, named in a JSON file."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+from typing_extensions import Self
 
 from smp_gym.observation import MAX_EPISODE_STEPS, observation_space
 from smp_gym.scene import TASKS
 from smp_planner.agents.goal_view import GOAL_CONDITIONED
+from smp_planner.agents.training_folder import named_settings
+from smp_planner.strict_settings import StrictSettings
 
-__all__ = ["HyperParameters"]
+__all__ = ["LEARNERS", "DemonstrationSettings", "GripperOpeningSettings", "HyperParameters"]
+
+LEARNERS = ("sac_her", "sac_demonstrations", "sac_dense", "ppo")
+"""Names of the agents that stable-baselines3 trains."""
+
+_OBSTACLES = "obstacles"
 
 
-@dataclass(frozen=True)
-class HyperParameters:
+class GripperOpeningSettings(StrictSettings):
+    """Exploration by opening the hand, see `smp_planner.agents.exploration.GripperOpenings`.
+
+    Attributes:
+        probability: that an opening begins with a decision.
+        decisions: that it lasts.
+    """
+
+    probability: float = Field(gt=0.0, le=1.0)
+    decisions: int = Field(ge=1)
+
+
+class DemonstrationSettings(StrictSettings):
+    """What an agent is shown of a planner's episodes, see `smp_planner.agents.shown_decisions`.
+
+    Attributes:
+        episodes: of `smp`, those that fail left out.
+        share: of each batch that is drawn from them.
+        cloning_steps: steps of the gradient, before the training, in which the actor learns to do
+            what was shown.
+    """
+
+    episodes: int = Field(default=100, ge=1)
+    share: float = Field(default=0.5, gt=0.0, lt=1.0)
+    cloning_steps: int = Field(default=2000, ge=0)
+
+
+class HyperParameters(StrictSettings):
     """Hyper-parameters of one agent.
 
     Attributes:
+        algorithm: a class of stable-baselines3.
+        reward: of the environment, "sparse" or "dense".
         environments: stepped in turn, in this process.
-        observations: entries of the observation that the agent sees; None for all. Where there are
-            no obstacles, leaving out their rows of zeros makes learning faster.
+        observations: entries of the observation that the agent sees; None for all, where there are
+            obstacles, and all others where there are none.
         hidden: fields of the desired goal that its networks do not see, see
             `smp_planner.agents.goal_view.GoalView`.
         action_repeat: environment steps that a decision lasts.
-        gripper_openings: exploration by opening the hand, arguments ``probability`` and
-            ``decisions`` of `smp_planner.agents.decisions.GripperOpenings`; None for none.
-        sac: arguments of `stable_baselines3.SAC`; a ``learning_rate`` with ``start`` and ``end``
-            changes linearly over the training.
-        her: arguments of `stable_baselines3.HerReplayBuffer`; None for none.
+        gripper_openings: exploration by opening the hand, of SAC; None for none.
+        arguments: of the algorithm; a ``learning_rate`` with ``start`` and ``end`` changes linearly
+            over the training.
+        her: arguments of `stable_baselines3.HerReplayBuffer`, of SAC; None for none.
+        demonstrations: what is shown to an agent with hindsight; None for nothing.
     """
 
-    environments: int
-    observations: list[str] | None
-    hidden: list[str]
-    action_repeat: int
-    gripper_openings: dict[str, Any] | None
-    sac: dict[str, Any]
-    her: dict[str, Any] | None
+    algorithm: Literal["SAC", "PPO"] = "SAC"
+    reward: Literal["sparse", "dense"] = "sparse"
+    environments: int = Field(default=1, ge=1)
+    observations: tuple[str, ...] | None = None
+    hidden: tuple[str, ...] = ()
+    action_repeat: int = Field(default=5, ge=1)
+    gripper_openings: GripperOpeningSettings | None = None
+    arguments: dict[str, Any] = Field(default_factory=dict)
+    her: dict[str, Any] | None = None
+    demonstrations: DemonstrationSettings | None = None
 
+    @field_validator("observations")
     @classmethod
-    def from_json(cls, path: Path) -> HyperParameters:
-        """Read hyper-parameters.
-
-        Args:
-            path: a JSON file with an entry for each attribute.
-
-        Raises:
-            OSError: there is no such file.
-            ValueError: the file is not JSON, or its entries are not those of this class.
-        """
-        try:
-            entries = json.loads(path.read_text())
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{path} must be JSON: {error}") from None
-        names = [field.name for field in fields(cls)]
-        if not isinstance(entries, dict) or set(entries) != set(names):
-            found = sorted(entries) if isinstance(entries, dict) else type(entries).__name__
-            raise ValueError(f"{path} must have the entries {', '.join(names)}; got {found}")
-        settings = cls(**entries)
-        if not (isinstance(settings.environments, int) and settings.environments >= 1):
-            raise ValueError(
-                f"environments in {path} must be at least 1, got {settings.environments!r}"
-            )
-        if not (isinstance(settings.action_repeat, int) and settings.action_repeat >= 1):
-            raise ValueError(
-                f"action_repeat in {path} must be at least 1, got {settings.action_repeat!r}"
-            )
-        openings = settings.gripper_openings
-        if openings is not None and not (
-            isinstance(openings, dict)
-            and set(openings) == {"probability", "decisions"}
-            and all(isinstance(value, (int, float)) for value in openings.values())
-            and 0.0 < openings["probability"] <= 1.0
-            and openings["decisions"] >= 1
-        ):
-            raise ValueError(
-                f"gripper_openings in {path} must be null or have a probability above 0, at most "
-                f"1, and a number of decisions of at least 1; got {openings!r}"
-            )
+    def _observations_are_known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         known = list(observation_space(TASKS[0]))
-        if settings.observations is not None and not (
-            isinstance(settings.observations, list)
-            and set(GOAL_CONDITIONED) <= set(settings.observations) <= set(known)
-        ):
+        if names is not None and not set(GOAL_CONDITIONED) <= set(names) <= set(known):
             raise ValueError(
-                f"observations in {path} must be null or of {', '.join(known)}, with "
-                f"{', '.join(GOAL_CONDITIONED)} among them; "
-                f"got {settings.observations!r}"
+                f"must be null or of {', '.join(known)}, with {', '.join(GOAL_CONDITIONED)} among "
+                f"them; got {list(names)!r}"
             )
-        rate = settings.sac.get("learning_rate", 3e-4)
+        return names
+
+    @field_validator("arguments")
+    @classmethod
+    def _rate_is_positive(cls, arguments: dict[str, Any]) -> dict[str, Any]:
+        rate = arguments.get("learning_rate", 3e-4)
         rates = [rate.get(name) for name in ("start", "end")] if isinstance(rate, dict) else [rate]
         if not all(isinstance(value, int | float) and value > 0.0 for value in rates) or (
             isinstance(rate, dict) and len(rate) != 2
         ):
             raise ValueError(
-                f"sac.learning_rate in {path} must be positive, or have a positive start and end; "
-                f"got {rate!r}"
+                f"learning_rate must be positive, or have a positive start and end; got {rate!r}"
             )
-        if settings.her is not None:
-            decisions = -(-MAX_EPISODE_STEPS // settings.action_repeat)
-            needed = settings.environments * decisions
-            if settings.sac.get("learning_starts", 0) < needed:
-                raise ValueError(
-                    f"sac.learning_starts in {path} must be at least {needed}, for HER samples "
-                    f"from whole episodes; got {settings.sac.get('learning_starts', 0)}"
-                )
-        return settings
+        return arguments
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        if self.algorithm != "SAC":
+            for name in ("gripper_openings", "her"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} must be null but for SAC, got it for PPO")
+        if self.demonstrations is not None and self.her is None:
+            raise ValueError("demonstrations must be null where her is, got them without hindsight")
+        needed = self.environments * -(-MAX_EPISODE_STEPS // self.action_repeat)
+        starts = self.arguments.get("learning_starts", 0)
+        if self.her is not None and starts < needed:
+            raise ValueError(
+                f"learning_starts must be at least {needed}, for HER samples from whole episodes; "
+                f"got {starts}"
+            )
+        return self
+
+    @classmethod
+    def from_json(cls, path: Path, agent: str, task: str) -> Self:
+        """Read hyper-parameters: those of ``"*"`` in a JSON file, a task's, an agent's, and both's.
+
+        Args:
+            path: of the file; an entry such as ``"sac_her Placement"`` is an agent's for a task.
+            agent: one of `LEARNERS`, or another that the file names.
+            task: one of `smp_gym.scene.TASKS`.
+
+        Raises:
+            OSError: there is no such file.
+            ValueError: it is not JSON, or a hyper-parameter is unknown or out of range.
+        """
+        return cls.model_validate(named_settings(path, "*", task, agent, f"{agent} {task}"))
+
+    def seen(self, difficulty: str) -> tuple[str, ...]:
+        """Return the entries of the observation that the agent sees at a difficulty."""
+        if self.observations is not None:
+            return self.observations
+        names = tuple(observation_space(TASKS[0]))
+        return tuple(name for name in names if difficulty != "none" or name != _OBSTACLES)

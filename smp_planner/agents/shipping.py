@@ -49,27 +49,41 @@ def scores_of(results: Path, agent: str, task: str) -> dict[str, Any]:
     return scores
 
 
-def actor_of(folder: Path, agent: str) -> tuple[Actor, ActorCard]:
+def actor_of(folder: Path) -> tuple[Actor, ActorCard]:
     """Return the actor of a training that has ended, as `smp_planner.agents.training` has left it.
 
     Reads ``final.zip``, which runs pickled code: give only folders of your own.
 
     Args:
         folder: of the training.
-        agent: name of the method that it shall be.
 
     Raises:
-        ValueError: no finished training there, or one whose network is not that of an `Actor`.
+        ValueError: no finished training there, one of another algorithm or of an older version, or
+            one whose network is not that of an `Actor`.
     """
     require("rl", "smp_planner.agents.shipping.actor_of")
     from stable_baselines3 import SAC
 
     try:
         run = json.loads((folder / "run.json").read_text())
+        agent, settings = run["agent"], run["settings"]
+        algorithm, layers = (
+            settings["algorithm"],
+            settings["arguments"]["policy_kwargs"]["net_arch"],
+        )
+    except OSError as error:
+        raise ValueError(f"{folder} must hold a finished training: {error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{folder} holds a training of an older version: no {error}") from None
+    if algorithm != "SAC":
+        raise ValueError(
+            f"{folder} must hold an agent of SAC to be shipped, got {algorithm}; its final.zip is "
+            "a method as it is, name=final.zip"
+        )
+    try:
         model = SAC.load(folder / "final.zip", device="cpu")
     except OSError as error:
         raise ValueError(f"{folder} must hold a finished training: {error}") from None
-    settings = run["settings"]
     steps = model.num_timesteps * settings["action_repeat"]
     card = ActorCard(
         agent=agent,
@@ -77,7 +91,7 @@ def actor_of(folder: Path, agent: str) -> tuple[Actor, ActorCard]:
         entries=sorted(model.observation_space),  # type: ignore[call-overload]
         hidden=settings["hidden"],
         action_repeat=settings["action_repeat"],
-        layers=settings["sac"]["policy_kwargs"]["net_arch"],
+        layers=layers,
         training={**run, "steps": steps, "cpu_seconds": round(getattr(model, CPU_SECONDS), 1)},
         scores={},
     )
@@ -95,9 +109,7 @@ def _has_weights(layer: nn.Module) -> TypeGuard[nn.Linear]:
     return isinstance(layer, nn.Linear)
 
 
-def ship_agent(
-    source: Path, results: Path | None = None, folder: Path | None = None, agent: str = "sac_her"
-) -> Path:
+def ship_agent(source: Path, results: Path | None = None, folder: Path | None = None) -> Path:
     """Write an agent where its method looks for it, and return the path of its card.
 
     Args:
@@ -105,7 +117,6 @@ def ship_agent(
             of SAC, see `actor_of`.
         results: folder of ``smp-bench run`` with its episodes; None leaves its scores.
         folder: to write into, in place of the package's.
-        agent: name of the method, of an agent that a training of SAC made.
 
     Raises:
         OSError: there is no such file.
@@ -114,7 +125,7 @@ def ship_agent(
     module: Actor | BumpPolicy
     known: ActorCard | AgentCard
     if source.is_dir():
-        module, known = actor_of(source, agent)
+        module, known = actor_of(source)
     elif is_actor(source):
         module, known = read_actor(source)
     else:

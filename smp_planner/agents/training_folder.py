@@ -46,14 +46,17 @@ def named_settings(path: Path, *names: str) -> dict[str, Any]:
 
     Raises:
         OSError: there is no such file.
-        ValueError: it is not JSON, or no object.
+        ValueError: it is not JSON, or no object of objects.
     """
     content = parse_json(read_file(path), str(path))
     if not isinstance(content, dict):
         raise ValueError(f"{path} must hold settings by name, got {shown(content)}")
     chosen: dict[str, Any] = {}
     for name in names:
-        chosen |= content.get(name, {})
+        own = content.get(name, {})
+        if not isinstance(own, dict):
+            raise ValueError(f"{path} must hold settings for {name!r}, got {shown(own)}")
+        chosen |= own
     return chosen
 
 

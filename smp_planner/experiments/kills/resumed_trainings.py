@@ -17,7 +17,7 @@ from safetensors.torch import load_file
 from smp_gym.observation import MAX_EPISODE_STEPS
 from smp_planner.agents.bump_training import BumpSettings, BumpTraining
 from smp_planner.agents.evaluations import read_evaluations
-from smp_planner.agents.hyper_parameters import HyperParameters
+from smp_planner.agents.hyper_parameters import GripperOpeningSettings, HyperParameters
 from smp_planner.agents.training import Training
 from smp_planner.experiments.kills.killing import Work
 
@@ -26,12 +26,10 @@ __all__ = ["policy_search", "reinforcement_learning"]
 _REPEAT = 5
 
 _SAC = HyperParameters(
-    environments=1,
-    observations=["observation", "achieved_goal", "desired_goal"],
-    hidden=["released"],
+    hidden=("released",),
     action_repeat=_REPEAT,
-    gripper_openings={"probability": 0.1, "decisions": 3},
-    sac={
+    gripper_openings=GripperOpeningSettings(probability=0.1, decisions=3),
+    arguments={
         # Hindsight needs an episode that has ended.
         "learning_starts": MAX_EPISODE_STEPS // _REPEAT,
         "batch_size": 32,
@@ -54,7 +52,7 @@ def reinforcement_learning(steps: int = 900, every: int = 150) -> Work:
 
     def train(folder: Path) -> None:
         training = Training(
-            folder, task="Placement", difficulty="none", dense=False, seed=0, settings=_SAC
+            folder, agent="sac_her", task="Placement", difficulty="none", seed=0, settings=_SAC
         )
         training.run(steps, every=every, episodes=1, progress=lambda done, rate: None)
         training.finish(1)

@@ -1,0 +1,180 @@
+"""What a learning agent is shown: a planner's episodes as decisions, in a part of every batch.
+
+The half of each batch that is drawn from demonstrations is that of Ball et al. 2023, "Efficient
+Online Reinforcement Learning with Offline Data". A planner's policy acts in every step of the
+control; an agent's decision lasts several. What is shown as a decision is the mean of the actions
+in its steps: they are rates, so it comes to the same joint angles.
+"""
+
+from __future__ import annotations
+
+from smp_gym.optional_packages import require
+
+require("rl", "smp_planner.agents.shown_decisions")
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from torch import Tensor
+
+from smp_gym.rollout import Moment, rollout
+from smp_gym.sampling import sample_scene
+from smp_planner.policy.planner_policy import PlannerPolicy
+
+__all__ = ["Decision", "ShownReplayBuffer", "clone", "shown_episodes"]
+
+FIRST_SEED = 90_000
+"""Tuning seed of the first scene that is shown to a training with seed 0."""
+
+_SEEDS = 1_000
+"""Seeds between the first scenes of two trainings."""
+
+
+class Decision(NamedTuple):
+    """One decision of an episode, as a replay buffer has it.
+
+    Attributes:
+        before: observation (F,) by entry, in which it was taken.
+        after: observation when it ended.
+        action: (7,) mean of the actions in its steps.
+        reward: their sum.
+        terminated: whether the episode ended with it.
+    """
+
+    before: Mapping[str, NDArray[np.float32]]
+    after: Mapping[str, NDArray[np.float32]]
+    action: NDArray[np.float32]
+    reward: float
+    terminated: bool
+
+
+def shown_episodes(
+    env: gymnasium.Env[Any, Any], task: str, difficulty: str, seed: int, repeat: int
+) -> Iterator[list[Decision]]:
+    """Yield episodes of `smp` that succeed, in unselected scenes, as decisions, without an end.
+
+    Args:
+        env: of the task, in which an action lasts one step.
+        task: its name.
+        difficulty: of the scenes.
+        seed: of the training.
+        repeat: steps that a decision lasts.
+    """
+    policy = PlannerPolicy.make("smp", task)
+    for number in count(FIRST_SEED + _SEEDS * seed):
+        moments: list[Moment] = []
+        scene = sample_scene(task, difficulty, number)
+        if rollout(env, policy, scene=scene, recorders=[moments.append]).success:
+            yield _decisions(moments, repeat)
+
+
+def _decisions(moments: Sequence[Moment], repeat: int) -> list[Decision]:
+    found = []
+    for first in range(0, len(moments) - 1, repeat):
+        steps = moments[first + 1 : first + 1 + repeat]
+        action = np.stack([step.action for step in steps]).mean(axis=0).astype(np.float32)
+        reward = sum(step.reward for step in steps)
+        last = steps[-1]
+        found.append(
+            Decision(moments[first].observation, last.observation, action, reward, last.terminated)
+        )
+    return found
+
+
+class ShownReplayBuffer(HerReplayBuffer):
+    """A buffer with hindsight that draws a share of each batch from episodes that were shown.
+
+    Args:
+        arguments: of `HerReplayBuffer`, in its order.
+        share: of each batch.
+        named: arguments of `HerReplayBuffer`, by name.
+    """
+
+    def __init__(self, *arguments: Any, share: float, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._share = share
+        self._named = {key: named[key] for key in ("n_sampled_goal", "goal_selection_strategy")}
+        self.shown: HerReplayBuffer | None = None
+
+    def show(self, episodes: Sequence[Sequence[Decision]]) -> None:
+        """Keep episodes to draw from."""
+        assert self.env is not None
+        total = sum(map(len, episodes))
+        # One more, since an episode that ends with the buffer would begin with it, too.
+        self.shown = HerReplayBuffer(
+            total + 1, self.observation_space, self.action_space, self.env, **self._named
+        )
+        for episode in episodes:
+            for index, decision in enumerate(episode):
+                ended = index + 1 == len(episode)
+                self.shown.add(
+                    {key: decision.before[key][None] for key in self.observations},
+                    {key: decision.after[key][None] for key in self.observations},
+                    decision.action[None],
+                    np.array([decision.reward]),
+                    np.array([ended]),
+                    [{"TimeLimit.truncated": ended and not decision.terminated}],
+                )
+
+    def set_env(self, env: VecEnv) -> None:
+        """Set the environment, which says what goals are worth in hindsight."""
+        super().set_env(env)
+        if self.shown is not None:
+            self.shown.set_env(env)
+
+    def sample(  # type: ignore[override]
+        self, batch_size: int, env: VecNormalize | None = None
+    ) -> DictReplayBufferSamples:
+        """Return a batch, the share of it from what was shown first."""
+        if self.shown is None:
+            return super().sample(batch_size, env)
+        count = round(self._share * batch_size)
+        shown, own = self.shown.sample(count, env), super().sample(batch_size - count, env)
+        return DictReplayBufferSamples(
+            observations=_joined(shown.observations, own.observations),
+            actions=torch.cat([shown.actions, own.actions]),
+            next_observations=_joined(shown.next_observations, own.next_observations),
+            dones=torch.cat([shown.dones, own.dones]),
+            rewards=torch.cat([shown.rewards, own.rewards]),
+        )
+
+
+def _joined(one: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {key: torch.cat([one[key], other[key]]) for key in one}
+
+
+def clone(model: SAC, steps: int, batch: int = 256, rate: float = 1e-3) -> float:
+    """Teach an agent's actor what was shown, and return the mean squared error in the end.
+
+    Args:
+        model: whose replay buffer is a `ShownReplayBuffer` with episodes.
+        steps: of the gradient.
+        batch: decisions in each.
+        rate: of Adam.
+    """
+    buffer = model.replay_buffer
+    assert isinstance(buffer, ShownReplayBuffer)
+    shown = buffer.shown
+    assert shown is not None
+    filled = shown.size()
+    actions = torch.from_numpy(shown.actions[:filled, 0])
+    seen = {key: torch.from_numpy(value[:filled, 0]) for key, value in shown.observations.items()}
+    generator = torch.Generator().manual_seed(model.seed or 0)
+    optimiser = torch.optim.Adam(model.actor.parameters(), rate)
+    loss = torch.zeros(())
+    for _ in range(steps):
+        rows = torch.randint(filled, (batch,), generator=generator)
+        found = model.actor({key: value[rows] for key, value in seen.items()}, deterministic=True)
+        loss = (found - actions[rows]).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    return float(loss.detach())
