@@ -2,7 +2,6 @@
 
 import json
 import runpy
-from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
@@ -18,18 +17,20 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 from typer.testing import CliRunner, Result
 
-import smp_gym
 from smp_gym.assets import asset_path
 from smp_gym.env import FAILURE_REWARD, SUBGOAL_REWARD, SUCCESS_REWARD
 from smp_gym.folder_lock import FolderLock
 from smp_gym.observation import MAX_EPISODE_STEPS
+from smp_gym.registration import environment_id
 from smp_gym.rollout import Moment, rollout
+from smp_gym.scene import TASKS
 from smp_planner.agents.actor_file import read_actor
+from smp_planner.agents.checkpoints import load_checkpoint, save_checkpoint
 from smp_planner.agents.decisions import ACTION_REPEAT, acting
 from smp_planner.agents.evaluations import evaluate, read_evaluations
-from smp_planner.agents.hyper_parameters import HyperParameters
+from smp_planner.agents.hyper_parameters import LEARNERS, HyperParameters
+from smp_planner.agents.learners import make_model
 from smp_planner.agents.shipping import ship_agent
-from smp_planner.agents.training import load_checkpoint, make_model, save_checkpoint
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "train_agent.py"
 ID = "smp_gym/Placement-v0"
@@ -39,7 +40,7 @@ TINY: dict[str, Any] = {
     "hidden": ["released"],
     "action_repeat": 1,
     "gripper_openings": {"probability": 0.1, "decisions": 3},
-    "sac": {
+    "arguments": {
         "learning_starts": MAX_EPISODE_STEPS,
         "batch_size": 32,
         "buffer_size": 1000,
@@ -54,7 +55,7 @@ def _seen(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
 
 
 def _write(path: Path, settings: Any) -> Path:
-    path.write_text(json.dumps(settings))
+    path.write_text(json.dumps({"*": settings}))
     return path
 
 
@@ -87,7 +88,7 @@ def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
     evaluations = read_evaluations(trained / "out" / "evaluations.csv")
     assert [e.steps for e in evaluations] == [300, 450, 500]
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
-    model = load_checkpoint(trained / "out", env)
+    model = load_checkpoint(trained / "out", env, SAC)
     assert model.num_timesteps == 500
     # One gradient step for each step after `learning_starts`.
     assert model._n_updates == 500 - MAX_EPISODE_STEPS
@@ -105,7 +106,7 @@ def test_training_learns_from_hindsight_and_goes_on(trained: Path) -> None:
 
 def test_an_interrupted_training_is_equal_to_one_at_once(trained: Path) -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
-    interrupted, at_once = (load_checkpoint(trained / out, env) for out in ("out", "at_once"))
+    interrupted, at_once = (load_checkpoint(trained / out, env, SAC) for out in ("out", "at_once"))
     for name, value in at_once.policy.state_dict().items():
         assert torch.equal(value, interrupted.policy.state_dict()[name]), name
     for part in ("actions", "rewards", "timeouts"):
@@ -129,7 +130,7 @@ def test_two_trainings_in_one_folder_lock_each_other_out(trained: Path) -> None:
 
 def test_a_kill_within_a_checkpoint_leaves_the_old_or_the_new(trained: Path) -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"}, wrapper_class=_seen)
-    model = load_checkpoint(trained / "at_once", env)
+    model = load_checkpoint(trained / "at_once", env, SAC)
 
     def save() -> None:
         model.num_timesteps = 700
@@ -266,17 +267,29 @@ def test_evaluation_counts() -> None:
     assert (evaluation.low, evaluation.high) == pytest.approx((centre - half, centre + half))
 
 
-def test_the_shipped_hyper_parameters_are_accepted() -> None:
-    for entry in smp_gym.ENVIRONMENTS:
-        dense = entry.reward == "dense"
-        path = asset_path("agents", f"{entry.task}{'Dense' if dense else ''}.json")
-        settings = HyperParameters.from_json(path)
-        small = replace(settings, sac={**settings.sac, "buffer_size": 1000})
-        env = make_vec_env(entry.id, env_kwargs={"difficulty": "none"})
-        model = make_model(env, entry.task, small, seed=0)
-        model.learn(3)
-        assert vars(model)[ACTION_REPEAT] == settings.action_repeat
-        env.close()
+@pytest.mark.parametrize("agent", LEARNERS)
+@pytest.mark.parametrize("task", TASKS)
+def test_the_shipped_hyper_parameters_are_accepted(agent: str, task: str) -> None:
+    path = asset_path("agents", "learner_settings.json")
+    settings = HyperParameters.from_json(path, agent, task)
+    assert settings.reward == ("dense" if agent in ("sac_dense", "ppo") else "sparse")
+    small = {} if agent == "ppo" else {"buffer_size": 1000}
+    settings = settings.model_copy(update={"arguments": settings.arguments | small})
+    env = make_vec_env(environment_id(task, settings.reward), env_kwargs={"difficulty": "none"})
+    model = make_model(env, task, settings, seed=0)
+    observation = env.reset()
+    action, _ = model.predict(observation)
+    env.step(action)
+    assert vars(model)[ACTION_REPEAT] == settings.action_repeat
+    env.close()
+
+
+def test_obstacles_are_seen_where_there_are_any() -> None:
+    settings = HyperParameters()
+    assert set(settings.seen("none")) == {"observation", "achieved_goal", "desired_goal"}
+    assert set(settings.seen("easy")) == {*settings.seen("none"), "obstacles"}
+    chosen = HyperParameters(observations=TINY["observations"])
+    assert chosen.seen("easy") == tuple(TINY["observations"])
 
 
 @pytest.mark.parametrize(
@@ -284,6 +297,7 @@ def test_the_shipped_hyper_parameters_are_accepted() -> None:
     [
         (("--task", "Juggle"), "Placement"),
         (("--difficulty", "brutal"), "medium"),
+        (("--agent", "dqn"), "sac_demonstrations"),
         (("--steps", "0"), "--steps"),
         (("--episodes", "0"), "--episodes"),
         (("--threads", "3"), "--threads"),
@@ -300,40 +314,50 @@ def test_bad_arguments_are_named(tmp_path: Path, arguments: tuple[str, ...], nam
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ([], "environments, observations, hidden"),
-        ({"environments": 1, "sac": {}}, "environments, observations, hidden"),
-        ({**TINY, "observations": ["picture"]}, "observations .* must be .*got \\['picture'\\]"),
-        ({**TINY, "observations": []}, "observations .* must be"),
+        ([], "settings for '\\*', got \\[\\]"),
+        ({**TINY, "colour": "red"}, "colour"),
+        ({**TINY, "algorithm": "DQN"}, "algorithm"),
+        ({**TINY, "reward": "rich"}, "reward"),
+        ({**TINY, "observations": ["picture"]}, "observations(.|\n)*got \\['picture'\\]"),
+        ({**TINY, "observations": []}, "observations(.|\n)*must be"),
         ({**TINY, "observations": ["observation"]}, "with observation, achieved_goal"),
         ({**TINY, "environments": 0}, "environments"),
-        ({**TINY, "action_repeat": 0}, "action_repeat .* at least 1, got 0"),
-        ({**TINY, "action_repeat": 2.5}, "action_repeat .* at least 1, got 2.5"),
-        ({**TINY, "gripper_openings": {"probability": 0.1}}, "gripper_openings .* must be null or"),
-        ({**TINY, "gripper_openings": {"probability": 1.5, "decisions": 3}}, "at most 1"),
-        ({**TINY, "gripper_openings": {"probability": 0.5, "decisions": 0}}, "at least 1; got"),
-        ({**TINY, "sac": {"learning_starts": 10}}, "learning_starts"),
-        ({**TINY, "sac": {"learning_rate": 0}}, "learning_rate .* must be positive"),
-        ({**TINY, "sac": {"learning_rate": {"start": 1}}}, "learning_rate .* got {'start': 1}"),
+        ({**TINY, "action_repeat": 0}, "action_repeat"),
+        ({**TINY, "action_repeat": 2.5}, "action_repeat"),
+        ({**TINY, "action_repeat": True}, "action_repeat must be a number"),
+        ({**TINY, "gripper_openings": {"probability": 0.1}}, "gripper_openings.decisions"),
+        ({**TINY, "gripper_openings": {"probability": 1.5, "decisions": 3}}, "probability"),
+        ({**TINY, "gripper_openings": {"probability": 0.5, "decisions": 0}}, "decisions"),
+        ({**TINY, "arguments": {"learning_starts": 10}}, "learning_starts"),
+        ({**TINY, "arguments": {"learning_rate": 0}}, "learning_rate must be positive"),
+        ({**TINY, "arguments": {"learning_rate": {"start": 1}}}, "got {'start': 1}"),
         (
-            {**TINY, "action_repeat": 5, "sac": {"learning_starts": 79}},
-            "learning_starts .* at least 80",
+            {**TINY, "action_repeat": 5, "arguments": {"learning_starts": 79}},
+            "learning_starts must be at least 80",
         ),
+        ({**TINY, "her": None, "demonstrations": {}}, "demonstrations must be null"),
+        ({**TINY, "demonstrations": {"share": 1.0}}, "demonstrations.share"),
+        ({**TINY, "algorithm": "PPO"}, "gripper_openings must be null but for SAC"),
     ],
 )
 def test_bad_settings_are_named(tmp_path: Path, settings: Any, named: str) -> None:
     with pytest.raises(ValueError, match=named):
-        HyperParameters.from_json(_write(tmp_path / "settings.json", settings))
+        HyperParameters.from_json(
+            _write(tmp_path / "settings.json", settings), "sac_her", "Placement"
+        )
 
 
 def test_settings_that_are_not_json(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_text("learning_rate: 1")
-    with pytest.raises(ValueError, match="must be JSON"):
-        HyperParameters.from_json(path)
+    with pytest.raises(ValueError, match=r"settings.json"):
+        HyperParameters.from_json(path, "sac_her", "Placement")
 
 
 def test_refused_settings_claim_no_folder(tmp_path: Path) -> None:
-    wrong = _write(tmp_path / "wrong.json", {**TINY, "sac": {**TINY["sac"], "learning_pace": 1.0}})
+    wrong = _write(
+        tmp_path / "wrong.json", {**TINY, "arguments": {**TINY["arguments"], "learning_pace": 1.0}}
+    )
     result = _train("--settings", str(wrong), "--out", str(tmp_path / "out"))
     assert result.exit_code == 2
     assert "learning_pace" in result.output
@@ -342,10 +366,11 @@ def test_refused_settings_claim_no_folder(tmp_path: Path) -> None:
 
 def test_unknown_arguments_of_sac_are_named() -> None:
     env = make_vec_env(ID, env_kwargs={"difficulty": "none"})
-    settings = replace(HyperParameters(**TINY), sac={"learning_pace": 1.0})
+    tiny = HyperParameters(**TINY)
+    settings = tiny.model_copy(update={"arguments": {"learning_pace": 1.0}})
     with pytest.raises(ValueError, match="learning_pace"):
         make_model(env, "Placement", settings, seed=0)
-    settings = replace(HyperParameters(**TINY), hidden=["colour"])
+    settings = tiny.model_copy(update={"hidden": ("colour",)})
     with pytest.raises(ValueError, match=r"hidden must name goal fields of Placement, .*'colour'"):
         make_model(env, "Placement", settings, seed=0)
     env.close()

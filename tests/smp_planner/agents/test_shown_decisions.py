@@ -1,0 +1,107 @@
+"""What a learning agent is shown: decisions that lead where the planner went, and batches."""
+
+from functools import partial
+from itertools import islice
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.env_util import make_vec_env
+
+from smp_gym.env import SUCCESS_REWARD
+from smp_gym.registration import environment_id
+from smp_gym.sampling import sample_scene
+from smp_planner.agents.checkpoints import load_checkpoint, save_checkpoint
+from smp_planner.agents.decisions import ActionRepeat
+from smp_planner.agents.hyper_parameters import DemonstrationSettings, HyperParameters
+from smp_planner.agents.learners import ALGORITHMS, make_model
+from smp_planner.agents.shown_decisions import FIRST_SEED, clone, shown_episodes
+
+REPEAT = 5
+SETTINGS = HyperParameters(
+    arguments={
+        "learning_starts": 80,
+        "batch_size": 40,
+        "buffer_size": 400,
+        "policy_kwargs": {"net_arch": [64, 64]},
+    },
+    her={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+    demonstrations=DemonstrationSettings(episodes=3, share=0.25),
+)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    with gym.make(environment_id("Placement"), difficulty="none") as env:
+        return list(islice(shown_episodes(env, "Placement", "none", 0, REPEAT), 3))
+
+
+@pytest.fixture
+def model(episodes):
+    env = make_vec_env(
+        environment_id("Placement"),
+        env_kwargs={"difficulty": "none"},
+        wrapper_class=partial(ActionRepeat, times=REPEAT),
+    )
+    made: Any = make_model(env, "Placement", SETTINGS, seed=0)
+    made.replay_buffer.show(episodes)
+    yield made
+    env.close()
+
+
+def test_shown_decisions_succeed_in_the_physics(episodes):
+    """The mean of the rates in the steps of a decision, held, comes to the same place."""
+    with gym.make(environment_id("Placement")) as plain:
+        env = ActionRepeat(plain, REPEAT)
+        for number, episode in enumerate(episodes):
+            observation, _ = env.reset(
+                options={"scene": sample_scene("Placement", "none", FIRST_SEED + number)}
+            )
+            np.testing.assert_array_equal(
+                observation["observation"], episode[0].before["observation"]
+            )
+            assert sum(decision.reward for decision in episode) == SUCCESS_REWARD
+            assert [d.terminated for d in episode] == [False] * (len(episode) - 1) + [True]
+            terminated, info = False, {}
+            for decision in episode:
+                if not terminated:
+                    observation, _, terminated, _, info = env.step(decision.action)
+            while not terminated:
+                observation, _, terminated, _, info = env.step(episode[-1].action)
+            assert info["is_success"]
+
+
+def test_a_share_of_each_batch_is_what_was_shown(model, episodes):
+    model.learn(161)
+    actions = {tuple(decision.action.tolist()) for episode in episodes for decision in episode}
+    batch = model.replay_buffer.sample(40)
+    shown = [tuple(row.tolist()) in actions for row in batch.actions]
+    assert shown == [True] * 10 + [False] * 30
+    assert batch.rewards.shape == batch.dones.shape == (40, 1)
+
+
+def test_the_actor_learns_to_do_what_was_shown(model, episodes):
+    def error() -> float:
+        found = [
+            model.predict(decision.before, deterministic=True)[0] - decision.action
+            for episode in episodes
+            for decision in episode
+        ]
+        return float(np.square(found).mean())
+
+    before = error()
+    last = clone(model, 600)
+    assert error() < 0.1 * before
+    assert last < 0.1 * before
+
+
+def test_what_was_shown_is_in_the_checkpoint(model, episodes, tmp_path):
+    model.learn(100)
+    save_checkpoint(model, tmp_path)
+    again: Any = load_checkpoint(tmp_path, model.get_env(), ALGORITHMS["SAC"])
+    shown = again.replay_buffer.shown
+    assert shown.size() == sum(map(len, episodes))
+    np.testing.assert_array_equal(shown.actions, model.replay_buffer.shown.actions)
+    again.learn(20, reset_num_timesteps=False)
+    assert again.num_timesteps == 120
