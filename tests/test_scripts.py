@@ -16,6 +16,7 @@ SCRIPTS = {
 WITH_COMMANDS = {
     "controls": ("run", "table"),
     "lasa": ("boxes", "compare", "modulate", "posterior", "shapes", "tune"),
+    "ship_rows": ("cages", "lasa", "narrow-places"),
     "table_two": ("run", "show"),
 }
 EXAMPLES = [
@@ -40,6 +41,7 @@ EXAMPLES = [
         "particle_figures",
         "prior_rules",
         "run_notebook",
+        "ship_rows",
         "speed_costs",
         "speed_env",
         "table_two",

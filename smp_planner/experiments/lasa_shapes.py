@@ -12,7 +12,12 @@ from rich.progress import track
 
 from smp_gym.arrays import FloatArray
 from smp_planner.adaptation import adaptation
-from smp_planner.experiments.comparison import adapted, measure, reference_of
+from smp_planner.experiments.comparison import (
+    adapted,
+    measure,
+    noise_floor_row,
+    reference_of,
+)
 from smp_planner.experiments.lasa_scenes import LASA_METHODS, LasaScene, Method, learn
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.library.smp import SMP, AdaptSettings, Circle
@@ -99,7 +104,7 @@ def crowded_scene(primitive: SMP, shape: str, seed: int) -> LasaScene:
 def shapes_rows(
     shapes: Sequence[str], methods: Mapping[str, Method], scenes: int, particles: int
 ) -> list[Row]:
-    """Return a row for each shape, scene and method.
+    """Return a row for each shape, scene and method, and for a fresh draw of each primitive.
 
     Args:
         shapes: of `lasa.shape_names`.
@@ -113,6 +118,8 @@ def shapes_rows(
         reference = reference_of(primitive)
         for seed in range(scenes):
             scene = crowded_scene(primitive, shape, seed)
+            floor = noise_floor_row(primitive, scene, reference, particles, seed)
+            rows.append(_of_shape(shape, floor, None))
             for name, method in methods.items():
                 rows.append(_row(primitive, scene, reference, name, method, particles, seed))
     return rows
@@ -131,12 +138,16 @@ def _row(
     plan = adapted(primitive, scene, method, particles, seed)
     seconds = time.process_time() - begin
     measured = measure(plan.trajectories, primitive, scene, reference)
-    solved = 100.0 * float(bool(measured["free"]))
+    return _of_shape(scene.shape, {"method": name, "seed": seed, **measured}, seconds)
+
+
+def _of_shape(shape: str, row: Row, seconds: float | None) -> Row:
+    """Return a row of `comparison` with the shape, whether a path is free, and the time."""
     return {
-        "shape": scene.shape,
-        "method": name,
-        "seed": seed,
-        "solved": solved,
-        **measured,
+        "shape": shape,
+        "method": row["method"],
+        "seed": row["seed"],
+        "solved": 100.0 * float(bool(row["free"])),
+        **row,
         "seconds": seconds,
     }

@@ -21,6 +21,7 @@ from rich.table import Table
 
 from smp_gym.arrays import FloatArray
 from smp_gym.scene import Obstacle
+from smp_planner.benchmark.markdown_table import markdown_table
 from smp_planner.benchmark.statistics import rate_interval
 from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.experiments.kept_results import kept_results
@@ -34,6 +35,7 @@ __all__ = [
     "FAMILIES",
     "METHODS",
     "NarrowPlace",
+    "narrow_markdown",
     "narrow_place",
     "narrow_table",
     "solve_narrow_places",
@@ -51,8 +53,23 @@ _ROUNDS = 20
 _ITERATIONS = 20_000
 """Of RRT-Connect."""
 
+_ALL = "all"
+"""Family in the row of all families."""
+
 METHODS = ("rrt_connect", "smp", "cpromp", "prompt_o", "promp_diff", "promp")
 """A single search on the same spheres and pairs, and the methods of `SMP.adapt` as they are."""
+
+_TITLES = {
+    "bookshelf_thin": "bookshelf, thin",
+    "bookshelf_tall": "bookshelf, tall",
+    "table_under": "under a table",
+    "table_pick": "pick on a table",
+    "jaco": "Jaco",
+    "ur5": "UR5",
+    "kuka_iiwa": "KUKA iiwa",
+    "panda": "Panda",
+}
+"""Families and arms as they are printed, where that is otherwise than they are called."""
 
 Regions = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Lower and upper corners, m, between which the tool is at the start and at the goal."""
@@ -306,20 +323,48 @@ def solve_narrow_places(
 def narrow_table(results: Mapping[str, Mapping[str, Any]]) -> Table:
     """Return a row for each arm and family, and one for each arm, with Wilson intervals."""
     table = Table(title="Narrow places: problems that are solved")
-    methods = [name for name in METHODS if any(name in result for result in results.values())]
+    methods = _methods(results)
     for column in ("arm", "family", "posed", *methods):
         table.add_column(column, justify="left" if column in ("arm", "family") else "right")
-    rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-    for name, result in results.items():
-        arm, family, _ = name.split(" ")
-        rows.setdefault((arm, family), []).append(result)
-    for arm in dict.fromkeys(arm for arm, _ in rows):
-        rows[arm, "all"] = [r for (of, _), each in rows.items() if of == arm for r in each]
-    for (arm, family), each in rows.items():
+    for (arm, family), each in _by_family(results).items():
         posed = [r for r in each if r["posed"]]
-        shares = [_share([r[method] for r in posed], family == "all") for method in methods]
+        shares = [_share([r[method] for r in posed], family == _ALL) for method in methods]
         table.add_row(arm, family, f"{len(posed)} of {len(each)}", *shares)
     return table
+
+
+def narrow_markdown(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a table in Markdown: families in rows, arms in columns, all methods in each cell."""
+    methods, groups = _methods(results), _by_family(results)
+    arms, families = (list(dict.fromkeys(names)) for names in zip(*groups, strict=True))
+    # The sum of each arm stands behind its families, and below those of all arms.
+    families = [*(family for family in families if family != _ALL), _ALL]
+    rows = [[" · ".join(methods), *(_TITLES.get(arm, arm) for arm in arms)]]
+    for family in families:
+        row = [_TITLES.get(family, family)]
+        for arm in arms:
+            posed = [result for result in groups[arm, family] if result["posed"]]
+            counts = [str(sum(result[method] for result in posed)) for method in methods]
+            row.append(f"{' · '.join(counts)} of {len(posed)}")
+        rows.append(row)
+    return markdown_table(rows)
+
+
+def _methods(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    return [name for name in METHODS if any(name in result for result in results.values())]
+
+
+def _by_family(
+    results: Mapping[str, Mapping[str, Any]],
+) -> dict[tuple[str, str], list[Mapping[str, Any]]]:
+    """Return results by arm and family, and behind them all of each arm."""
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for name, result in results.items():
+        arm, family, _ = name.split(" ")
+        groups.setdefault((arm, family), []).append(result)
+    for arm in dict.fromkeys(arm for arm, _ in groups):
+        groups[arm, _ALL] = [r for (of, _), each in groups.items() if of == arm for r in each]
+    return groups
 
 
 def _share(solved: Sequence[bool], interval: bool) -> str:

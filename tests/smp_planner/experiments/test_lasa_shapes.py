@@ -34,10 +34,12 @@ def test_rows_are_of_each_scene_and_method():
     chosen = {name: METHODS[name] for name in ("smp", "promp")}
     rows = shapes_rows(["Worm"], chosen, 2, 12)
     assert [(row["method"], row["seed"]) for row in rows] == [
+        ("noise floor", 0),
         ("smp", 0),
         ("promp", 0),
+        ("noise floor", 1),
         ("smp", 1),
         ("promp", 1),
     ]
     assert all(row["free"] == 12.0 for row in rows if row["method"] == "smp")
-    assert all(row["free"] < 12.0 for row in rows if row["method"] == "promp")
+    assert all(row["free"] < 12.0 for row in rows if row["method"] != "smp")

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from smp_planner.experiments.narrow_places import (
     FAMILIES,
+    narrow_markdown,
     narrow_place,
     narrow_table,
     solve_narrow_places,
@@ -88,6 +89,25 @@ def test_shares_are_of_the_problems_that_are_posed():
     )
     assert of_cage == ["a", "cage", "3 of 4", "2 of 3", "2 of 3"]
     assert of_all[3] == "2 of 3 (21–94 %)"
+
+
+def test_the_table_in_markdown_has_families_in_rows_and_arms_in_columns():
+    solved = {"posed": True, "rrt_connect": True, "smp": True}
+    rows = {
+        "panda cage 0": solved,
+        "ur5 cage 0": {"posed": False},
+        "panda table_pick 0": solved,
+        "ur5 table_pick 0": {**solved, "rrt_connect": False},
+        "panda cage 1": {**solved, "smp": False},
+        "ur5 cage 1": {"posed": False},
+    }
+    assert narrow_markdown(rows).splitlines() == [
+        "| rrt_connect · smp | Panda | UR5 |",
+        "| --- | --- | --- |",
+        "| cage | 2 · 1 of 2 | 0 · 0 of 0 |",
+        "| pick on a table | 1 · 1 of 1 | 0 · 1 of 1 |",
+        "| all | 3 · 2 of 3 | 0 · 1 of 1 |",
+    ]
 
 
 def test_swings_begin_and_end_about_where_they_should():

@@ -1,0 +1,84 @@
+"""Put rows of experiments among the assets, so that the tables of the documents can be recounted.
+
+lasa takes the tables on handwriting, narrow-places those of public arms in narrow places, and cages
+the episodes of Placement in cages.
+"""
+
+from __future__ import annotations
+
+from smp_gym.console_script import require_for_script
+
+require_for_script()
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smp_planner.benchmark.options import CommandLine, tell
+from smp_planner.experiments.shipped_rows import (
+    CAGES,
+    LASA,
+    NARROW_PLACES,
+    cage_rows,
+    lasa_rows,
+    narrow_rows,
+    ship,
+)
+
+app = CommandLine(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__
+)
+
+_Out = Annotated[Path, typer.Option(help="Folder to write.", file_okay=False)]
+_RESULTS = Path("envs_assets/results")
+
+
+@app.command()
+def lasa(
+    folder: Annotated[
+        Path, typer.Argument(help="Into which scripts/lasa.py wrote.", file_okay=False)
+    ],
+    out: _Out = _RESULTS,
+) -> None:
+    """Ship the rows of Fig. 1, Fig. 2, Table I, all shapes and the posterior.
+
+    Example: python scripts/ship_rows.py lasa results/lasa
+    """
+    _write(lasa_rows(folder), out / LASA)
+
+
+@app.command("narrow-places")
+def narrow_places(
+    file: Annotated[Path, typer.Argument(help="Of scripts/narrow_places.py.", dir_okay=False)],
+    out: _Out = _RESULTS,
+) -> None:
+    """Ship which methods solve each problem in narrow places.
+
+    Example: python scripts/ship_rows.py narrow-places results/narrow_places.json
+    """
+    _write(narrow_rows(file), out / NARROW_PLACES)
+
+
+@app.command()
+def cages(
+    folders: Annotated[
+        list[Path], typer.Argument(help="That smp-bench run wrote.", file_okay=False)
+    ],
+    out: _Out = _RESULTS,
+) -> None:
+    """Ship the episodes of Placement in cages.
+
+    Example: python scripts/ship_rows.py cages results/cages results/cages_rivals
+    """
+    _write(cage_rows(folders), out / CAGES)
+
+
+def _write(lines: Sequence[dict[str, str]], path: Path) -> None:
+    ship(lines, path)
+    tell(f"wrote {len(lines)} rows to {path}")
+
+
+if __name__ == "__main__":
+    app()

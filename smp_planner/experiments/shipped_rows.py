@@ -1,0 +1,200 @@
+"""Rows of experiments as they ship with the package: what the documents print, in few bytes.
+
+Each file is a table in CSV, compressed, of what is printed and of what says which measurement a
+line is.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from smp_gym.atomic_files import replacing
+from smp_planner.benchmark.manifest import read_results
+from smp_planner.experiments.lasa_posterior import VARIANTS
+from smp_planner.experiments.narrow_places import METHODS
+
+__all__ = ["CAGES", "LASA", "NARROW_PLACES", "cage_rows", "lasa_rows", "narrow_rows", "ship"]
+
+LASA, NARROW_PLACES, CAGES = "lasa.csv.gz", "narrow_places.csv.gz", "cages.csv.gz"
+"""Names of the files."""
+
+_DIGITS = 6
+"""Significant ones of a number; with four some printed means have another last digit."""
+
+_SIMILARITY = ("wasserstein", "frechet", "mmd")
+_CLASSES = ("free", "classes", "entropy")
+
+Line = dict[str, str]
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A table of `scripts/lasa.py`.
+
+    Attributes:
+        experiment: command that writes it.
+        file: in the folder of all tables.
+        scene: column of the scene's name; a file that has none is of the one scene of that name.
+        method: column of the method's name.
+        measures: columns that are printed.
+    """
+
+    experiment: str
+    file: str
+    scene: str
+    method: str
+    measures: tuple[str, ...]
+
+
+_LASA_TABLES = (
+    _Table(
+        "compare",
+        "fig1/comparison.csv",
+        "Sshape",
+        "method",
+        (*_CLASSES, *_SIMILARITY, *(f"{name}_free" for name in _SIMILARITY), "length"),
+    ),
+    _Table(
+        "modulate",
+        "fig2/modulation.csv",
+        "scene",
+        "method",
+        ("free", "passed", "reached", "good", "worst_end_error"),
+    ),
+    _Table("boxes", "table1/boxes.csv", "shape", "prior", ("free", "ends", "starts")),
+    _Table(
+        "shapes",
+        "shapes/shapes.csv",
+        "shape",
+        "method",
+        ("solved", *_CLASSES, "wasserstein", "length"),
+    ),
+    *(
+        _Table(
+            "posterior",
+            f"posterior/{variant}.csv",
+            variant,
+            "setting",
+            (
+                *("free", "classes", "variation", "wasserstein_exact", "diversity", "spread"),
+                *(f"class_{number}" for number in range(1, 5)),
+            ),
+        )
+        for variant in VARIANTS
+    ),
+)
+
+
+def lasa_rows(folder: Path) -> list[Line]:
+    """Return a line for each repetition of each method in all tables on handwriting.
+
+    Args:
+        folder: into which `scripts/lasa.py` wrote, without options ``results/lasa``.
+
+    Raises:
+        OSError: a table is not there.
+        ValueError: a table lacks a column, or a measure is no number.
+    """
+    measures = dict.fromkeys(name for table in _LASA_TABLES for name in table.measures)
+    lines = []
+    for table in _LASA_TABLES:
+        path = folder / table.file
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        needed = {table.method, "seed", *table.measures}
+        if missing := sorted(needed - set(rows[0] if rows else ())):
+            raise ValueError(f"{path} must have the columns {', '.join(missing)}")
+        for row in rows:
+            line = {
+                "experiment": table.experiment,
+                "scene": row.get(table.scene, table.scene),
+                "method": row[table.method],
+                "seed": row["seed"],
+            }
+            printed = {name: _rounded(row[name]) for name in table.measures}
+            lines.append(line | {name: printed.get(name, "") for name in measures})
+    return lines
+
+
+def narrow_rows(path: Path) -> list[Line]:
+    """Return a line for each method on each problem that is posed, and one for every other problem.
+
+    Args:
+        path: file of `scripts/narrow_places.py`.
+
+    Raises:
+        OSError: the file is not there.
+        ValueError: it is another file.
+    """
+    try:
+        results = json.loads(path.read_text(encoding="utf-8"))["results"]
+        lines = []
+        for name, result in results.items():
+            problem = dict(zip(("arm", "family", "seed"), name.split(" "), strict=True))
+            problem["posed"] = str(int(result["posed"]))
+            if not result["posed"]:
+                lines.append({**problem, "method": "", "solved": "", "seconds": ""})
+            for method in METHODS:
+                if method in result:
+                    solved, seconds = str(int(result[method])), result[f"{method}_seconds"]
+                    measured = {"solved": solved, "seconds": _rounded(seconds)}
+                    lines.append({**problem, "method": method, **measured})
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not a file of narrow places: {error}") from error
+    return lines
+
+
+def cage_rows(folders: Sequence[Path]) -> list[Line]:
+    """Return a line for each episode of some runs of `smp-bench run` in the cages of Placement.
+
+    Args:
+        folders: of results, finished or not.
+
+    Raises:
+        ResultsError: a folder holds no results, or damaged ones.
+        ValueError: a run is not of cages of Placement alone.
+    """
+    lines = []
+    for folder in folders:
+        manifest, rows = read_results(folder)
+        if {(cell.task, cell.family) for cell in manifest.cells} != {("Placement", "cage")}:
+            raise ValueError(f"{folder} must be a run of cages of Placement alone")
+        for row in sorted(rows, key=lambda row: (row.method, row.seed)):
+            lines.append(
+                {
+                    "method": row.method,
+                    "difficulty": row.difficulty,
+                    "seed": str(row.seed),
+                    "success": str(int(row.success)),
+                    "cause": row.cause,
+                    "share_good": _rounded(row.share_good),
+                }
+            )
+    return lines
+
+
+def ship(lines: Sequence[Line], path: Path) -> None:
+    """Write lines as a table in CSV, compressed, the same bytes for the same lines.
+
+    Args:
+        lines: at least one, all with the same columns.
+        path: of the file, whose folder is made if there is none.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as aside:
+        aside.write_bytes(gzip.compress(text.getvalue().encode("utf-8"), mtime=0))
+
+
+def _rounded(value: str | float | None) -> str:
+    """Return a number with so many digits as are shipped; empty where there is none."""
+    return "" if value in ("", None) else f"{float(value):.{_DIGITS}g}"
