@@ -1,7 +1,7 @@
 """Put rows of experiments among the assets, so that the tables of the documents can be recounted.
 
-lasa takes the tables on handwriting, narrow-places those of public arms in narrow places, and cages
-the episodes of Placement in cages.
+lasa takes the tables on handwriting, narrow-places those of public arms in narrow places, cages the
+episodes of Placement in cages, and sets the particle sets on frozen scenes.
 """
 
 from __future__ import annotations
@@ -16,14 +16,18 @@ from typing import Annotated
 
 import typer
 
+from smp_planner.benchmark.markdown_table import markdown_table
 from smp_planner.benchmark.options import CommandLine, tell
+from smp_planner.experiments.set_summary import ratio_table, set_table
 from smp_planner.experiments.shipped_rows import (
     CAGES,
     LASA,
     NARROW_PLACES,
+    SETS,
     cage_rows,
     lasa_rows,
     narrow_rows,
+    set_rows,
     ship,
 )
 
@@ -73,6 +77,23 @@ def cages(
     Example: python scripts/ship_rows.py cages results/cages results/cages_rivals
     """
     _write(cage_rows(folders), out / CAGES)
+
+
+@app.command()
+def sets(
+    folder: Annotated[
+        Path, typer.Argument(help="Of scripts/unselected_scenes.py.", file_okay=False)
+    ],
+    out: _Out = _RESULTS,
+) -> None:
+    """Ship the rows of particle sets, and print their means and distances to the posterior.
+
+    Example: python scripts/ship_rows.py sets results/sets
+    """
+    lines = set_rows(folder / "sets.csv")
+    _write(lines, out / SETS)
+    for table in (set_table(lines), ratio_table(lines)):
+        tell(markdown_table(table) + "\n")
 
 
 def _write(lines: Sequence[dict[str, str]], path: Path) -> None:

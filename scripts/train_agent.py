@@ -37,7 +37,8 @@ def main(
         str,
         typer.Option(
             help="Name of its hyper-parameters: sac_her (sparse reward, hindsight), "
-            "sac_demonstrations (the same, shown a planner's episodes), sac_dense, or ppo (dense)."
+            "sac_demonstrations (the same, shown a planner's episodes), sac_dense, ppo (dense), or "
+            "one that the file of --settings has."
         ),
     ] = "sac_her",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 300_000,
@@ -62,7 +63,8 @@ def main(
     """
     one_of(task, TASKS, "--task")
     one_of(difficulty, DIFFICULTIES, "--difficulty")
-    one_of(agent, LEARNERS, "--agent")
+    if settings is None:
+        one_of(agent, LEARNERS, "--agent")
     folder = out or Path("results") / "agents" / f"{agent}-{task}-{difficulty}-{seed}"
     torch.set_num_threads(threads)
     try:

@@ -19,9 +19,20 @@ from smp_planner.benchmark.manifest import read_results
 from smp_planner.experiments.lasa_posterior import VARIANTS
 from smp_planner.experiments.narrow_places import METHODS
 
-__all__ = ["CAGES", "LASA", "NARROW_PLACES", "cage_rows", "lasa_rows", "narrow_rows", "ship"]
+__all__ = [
+    "CAGES",
+    "LASA",
+    "NARROW_PLACES",
+    "SETS",
+    "cage_rows",
+    "lasa_rows",
+    "narrow_rows",
+    "set_rows",
+    "ship",
+]
 
 LASA, NARROW_PLACES, CAGES = "lasa.csv.gz", "narrow_places.csv.gz", "cages.csv.gz"
+SETS = "frozen_sets.csv.gz"
 """Names of the files."""
 
 _DIGITS = 6
@@ -29,6 +40,11 @@ _DIGITS = 6
 
 _SIMILARITY = ("wasserstein", "frechet", "mmd")
 _CLASSES = ("free", "classes", "entropy")
+
+_SETS = (
+    *("solved", "good", "chosen", "success", "energy", "wasserstein", "frechet", "coverage"),
+    *("demonstrations", "classes", "entropy", "length", "jerk", "seconds"),
+)
 
 Line = dict[str, str]
 
@@ -177,6 +193,28 @@ def cage_rows(folders: Sequence[Path]) -> list[Line]:
                 }
             )
     return lines
+
+
+def set_rows(path: Path) -> list[Line]:
+    """Return a line for each method in each scene.
+
+    Args:
+        path: ``sets.csv`` of `scripts/unselected_scenes.py`.
+
+    Raises:
+        OSError: the file is not there.
+        ValueError: it lacks a column, or a measure is no number.
+    """
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    needed = {"task", "method", "seed", *_SETS}
+    if missing := sorted(needed - set(rows[0] if rows else ())):
+        raise ValueError(f"{path} must have the columns {', '.join(missing)}")
+    return [
+        {"task": row["task"], "method": row["method"], "seed": f"{float(row['seed']):.0f}"}
+        | {name: _rounded(row[name]) for name in _SETS}
+        for row in rows
+    ]
 
 
 def ship(lines: Sequence[Line], path: Path) -> None:
