@@ -100,8 +100,8 @@ class BumpPlanner:
         except FileNotFoundError:
             raise ValueError(
                 f"{name} needs an agent for {demonstrations.task}, and there is no {path}: train "
-                f"one with scripts/train_mp_rl.py --agent {name} and give its card as the setting "
-                "'agent'"
+                f"one with scripts/train_mp_rl.py --agent {name}, then write it there with "
+                "scripts/ship_agent.py or give its card as the setting 'agent'"
             ) from None
         self.prior: Prior = learn_prior(list(np.array(demonstrations.configurations)), prior)
         expected = (name, demonstrations.task, self.prior.single.dimension * self.card.bumps)

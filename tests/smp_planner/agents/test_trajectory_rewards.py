@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from smp_gym.assets import asset_path
 from smp_gym.observation import CONTROL_PERIOD
 from smp_gym.registration import environment_id
 from smp_gym.robot.kinematics import GRASP_CENTER, end_effector_pose
@@ -12,12 +13,15 @@ from smp_gym.sampling import sample_scene
 from smp_gym.scene import TASKS, Obstacle
 from smp_planner.agents.bump_training import BumpSettings, BumpTraining
 from smp_planner.agents.posed_scenes import environment, posed, posing_policy, primitive_of
+from smp_planner.agents.shipping import ship_agent
 from smp_planner.agents.trajectory_rewards import (
     CheckedRewards,
     ExecutedRewards,
     PosedScene,
     make_rewards,
 )
+from smp_planner.planners import make_planner
+from smp_planner.planners.bump_planner import LEARNED
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.bumps import bump_phases, bumped_mean
 
@@ -47,6 +51,22 @@ def placement():
     return ExecutedRewards("Placement")
 
 
+@pytest.fixture(scope="module")
+def blocked(placement):
+    """Return a scene with a sphere at half of the conditioned mean's way, and that mean."""
+    known = posed_scene("Placement", "none")
+    found = mean_of(known)
+    # The object in the hand is at the sphere's centre there.
+    x, y, z = (end_effector_pose(found.mean[100]) @ np.append(GRASP_CENTER, 1.0))[:3].tolist()
+    sphere = Obstacle(shape="sphere", position=(x, y, z), size=(0.04, 0.04, 0.04))
+    return placement.met(known, (sphere,)), found
+
+
+def drawn(found, count):
+    """Return numbers (count, F) of which some lead round the sphere of `blocked`."""
+    return 0.4 * np.random.default_rng(0).standard_normal((count, len(found.directions)))
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_where_nothing_is_in_the_way_the_conditioned_mean_earns_all(task):
     met = posed_scene(task, "none")
@@ -55,18 +75,22 @@ def test_where_nothing_is_in_the_way_the_conditioned_mean_earns_all(task):
     assert reward.tolist() == [2.0]
 
 
-def test_what_is_driven_into_an_obstacle_earns_its_way_there(placement):
-    known = posed_scene("Placement", "none")
-    mean = mean_of(known).mean
-    held = end_effector_pose(mean[100]) @ np.append(GRASP_CENTER, 1.0)
-    block = Obstacle(shape="sphere", position=tuple(held[:3].tolist()), size=(0.04, 0.04, 0.04))
-    met = placement.met(known, (block,))
-    assert met.scene.obstacles == (block,)
-    np.testing.assert_allclose(met.problem.movable[0].position, block.position, atol=1e-6)
-    reward, succeeded = placement.of(met, mean[None])
+def test_what_is_driven_into_an_obstacle_earns_its_way_there(placement, blocked):
+    met, found = blocked
+    reward, succeeded = placement.of(met, found.mean[None])
     assert not succeeded.any()
-    # The object in the hand is at the sphere's centre at half of its way.
     assert 0.2 < reward[0] < 0.5
+
+
+def test_what_is_driven_into_the_table_earns_its_way_there(placement):
+    met = posed_scene("Placement", "none")
+    start = np.array(met.scene.start)
+    lowered = start + np.linspace(0.0, 1.0, 200)[:, None] * (0.0, 1.2, 0.0, 0.0, 0.0, 0.0)
+    height = (end_effector_pose(lowered) @ np.append(GRASP_CENTER, 1.0))[:, 2]
+    reward, succeeded = placement.of(met, lowered[None])
+    assert not succeeded.any()
+    # The middle of the object in the hand is at the height of the table, or below, from here on.
+    assert 0.2 < reward[0] < np.argmax(height <= 0.0) / 199
 
 
 def test_an_obstacle_in_the_arm_leaves_the_scene_as_it_was_drawn(placement):
@@ -95,11 +119,9 @@ def test_scene_and_problem_have_the_obstacles_that_are_given(rewards):
     np.testing.assert_allclose(mean_of(met).mean, mean_of(known).mean, atol=1e-6)
 
 
-def test_rewards_of_the_physics_are_those_of_episodes_of_their_own(placement):
-    met = posed_scene("Placement", "easy", 4)
-    found = mean_of(met)
-    numbers = 0.6 * np.random.default_rng(0).standard_normal((10, len(found.directions)))
-    paths = found.trajectories(numbers)
+def test_rewards_of_the_physics_are_those_of_episodes_of_their_own(placement, blocked):
+    met, found = blocked
+    paths = found.trajectories(drawn(found, 10))
     reward, succeeded = placement.of(met, paths)
     assert 0 < succeeded.sum() < 10
     plan = make_plan(
@@ -123,12 +145,11 @@ def test_rewards_of_the_physics_are_those_of_episodes_of_their_own(placement):
     np.testing.assert_array_equal(placement.of(met, paths[::-1])[0][::-1], reward)
 
 
-def test_what_the_check_calls_a_success_is_good_by_the_whole_check():
-    met = posed_scene("Placement", "easy", 4)
+def test_what_the_check_calls_a_success_is_good_by_the_whole_check(blocked):
+    met, found = blocked
     settings = primitive_of("Placement").plan_settings
     rewards = make_rewards("check", "Placement")
-    found = mean_of(met)
-    numbers = 0.6 * np.random.default_rng(0).standard_normal((60, len(found.directions)))
+    numbers = drawn(found, 60)
     reward, clear = rewards.of(met, found.trajectories(numbers, rewards.stride))
     plan = make_plan(met.problem, found.trajectories(numbers), {"prior": np.zeros(60)}, settings)
     assert 0 < clear.sum() < 60
@@ -161,6 +182,22 @@ def test_a_training_in_the_physics_goes_on_as_if_undisturbed(tmp_path):
     assert (whole / "agent.safetensors").read_bytes() == (halves / "agent.safetensors").read_bytes()
     assert [(p.reward, p.clear) for p in first.curve] == [(p.reward, p.clear) for p in second.curve]
     assert all(0.0 < point.reward < 2.0 for point in first.curve)
+    shipped = ship_agent(halves / "agent.json", folder=tmp_path)
+    assert shipped.name == "mp_rl_physics_Placement.json"
+    planner = make_planner(
+        "mp_rl_physics", "Placement", settings={"agent": str(shipped), "action": "mean"}
+    )
+    problem = posed(second.scenes)[0]
+    (plan,) = planner.plan([problem])
+    # In single precision before its file.
+    np.testing.assert_allclose(plan.trajectories[0], second.mean_trajectory(problem), atol=2e-3)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_agents_are_trained_by_the_rewards_of_their_names(task):
+    path = asset_path("agents", "bump_settings.json")
+    rewards = {name: BumpSettings.from_json(path, name, task).reward for name in LEARNED}
+    assert rewards == {"mp_rl": "check", "mp_rl_physics": "physics", "detour": "check"}
 
 
 def test_a_training_in_the_physics_earns_more_and_more(tmp_path):
