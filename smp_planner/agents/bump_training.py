@@ -1,13 +1,11 @@
-"""Training of `mp_rl` and `detour`: contextual policy search in the space of a movement primitive.
+"""Training of `mp_rl` and its kin: contextual policy search in the space of a movement primitive.
 
 An action is an episode's whole trajectory (Kober, Oztop and Peters 2011; Otto et al. 2022, "Deep
 Black-Box Reinforcement Learning with Movement Primitives"): bumps on the conditioned mean. In every
 iteration a batch of scenes is drawn, 16 actions are drawn in each, and the policy follows the
 clipped gradient of Schulman et al. 2017 (Eq. (7)), the advantage of an action being its reward less
-the mean of its scene. The reward is the planners' check with the exact distances, at every fifth
-sample of a trajectory and with 3 mm for what lies between them: its least clearance, in units of
-0.15 m, and 1 more if it is clear of everything, within joint limits and the limit of duration, and
-meets the constraints.
+the mean of its scene. The reward is that of the planners' check, or, of `mp_rl_physics`, that of an
+episode in the physics, see `smp_planner.agents.trajectory_rewards`.
 
 To descend the costs that `smp` descends first, whose derivative by an action is known, comes to
 clear trajectories in a tenth of the time, but of training scenes alone: of 20 others the agent then
@@ -30,7 +28,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,10 +36,10 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.atomic_files import write_text
 from smp_gym.sampling import sample_scene
-from smp_gym.scene import Obstacle, Scene
+from smp_gym.scene import Scene
 from smp_planner.agents.posed_scenes import posed, primitive_of
 from smp_planner.agents.training_folder import (
     claimed,
@@ -49,6 +47,7 @@ from smp_planner.agents.training_folder import (
     read_checkpoint,
     write_checkpoint,
 )
+from smp_planner.agents.trajectory_rewards import PosedScene, RewardName, make_rewards
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.planners.agent_file import AgentCard, write_agent
 from smp_planner.planners.bump_policy import (
@@ -63,7 +62,6 @@ from smp_planner.planners.bump_policy import (
 )
 from smp_planner.planning.bumps import (
     BumpedMean,
-    SoftenedCheck,
     bump_phases,
     bumped_mean,
     moved,
@@ -74,12 +72,6 @@ from smp_planner.strict_settings import StrictSettings
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss"]
-
-_STRIDE = 5
-"""Of the samples of a trajectory, every how many of them are looked at."""
-
-_FLOOR, _ENOUGH = -0.15, 0.01
-"""m, least clearance told apart by the reward, and that from which on more is worth no more."""
 
 FIRST_SEED = 40_000
 """Tuning seed of the first training scene of a training with seed 0."""
@@ -103,6 +95,9 @@ class BumpSettings(StrictSettings):
         std: rad, standard deviation of actions in the beginning.
         shift: m, standard deviation of the shift of obstacles from visit to visit.
         exchanged: share of the visits with the obstacles of another scene.
+        reward: "check" is that of the planners' exact check: clearance, and 1 more if nothing is
+            found; "physics" that of an episode with the trajectory: 1 for success, and the share of
+            its way that was done.
     """
 
     bumps: int = Field(default=4, ge=1, le=50)
@@ -116,6 +111,7 @@ class BumpSettings(StrictSettings):
     std: float = Field(default=0.2, gt=0.0, allow_inf_nan=False)
     shift: float = Field(default=0.015, ge=0.0, allow_inf_nan=False)
     exchanged: float = Field(default=0.3, ge=0.0, le=1.0)
+    reward: RewardName = "check"
 
     def rate(self, iteration: int) -> float:
         """Return the learning rate of an iteration."""
@@ -141,10 +137,10 @@ class CurvePoint:
 
     Attributes:
         iteration: number of batches so far.
-        trajectories: that were checked so far.
+        trajectories: that were checked, or executed, so far.
         cpu_seconds: of the training so far, the drawing of scenes included.
         reward: mean of the batches since the last row.
-        clear: share of their trajectories that met every demand.
+        clear: share of their trajectories that met every demand, or succeeded in the physics.
         scenes_solved: share of their scenes with such a trajectory.
     """
 
@@ -159,11 +155,19 @@ class CurvePoint:
 class _Place(NamedTuple):
     """A training scene, ready to be met: the mean of each component, and what is fixed in it."""
 
-    problem: Problem
+    known: PosedScene
     means: FloatArray
     directions: FloatArray
     context: Any
     hand: FloatArray
+
+    def trajectories(self, component: IntArray, numbers: FloatArray) -> FloatArray:
+        """Return the trajectories (N, T, 6) rad of numbers (N, F) on the means of components."""
+        paths = np.empty((len(numbers), *self.means.shape[1:]))
+        for side in np.unique(component):
+            chosen = component == side
+            paths[chosen] = moved(self.means[side], self.directions[side], numbers[chosen])
+        return paths
 
 
 def clipped_loss(
@@ -195,7 +199,7 @@ class BumpTraining:
 
     Args:
         folder: to write.
-        agent: "mp_rl" or "detour".
+        agent: one of `smp_planner.planners.bump_planner.LEARNED`.
         task: one of `smp_gym.scene.TASKS`.
         difficulties: of the scenes, in turn.
         seed: of scenes, weights and actions.
@@ -228,9 +232,10 @@ class BumpTraining:
         self._lock = claimed(folder, description)
         self._planner = primitive_of(task)
         self._components = self._planner.prior.components()
+        self._rewards = make_rewards(settings.reward, task)
         torch.manual_seed(seed)
         actions = settings.bumps * self._planner.prior.single.dimension
-        shape = NetworkShape(actions, len(self._components), agent == "mp_rl")
+        shape = NetworkShape(actions, len(self._components), agent != "detour")
         self.policy = BumpPolicy(shape, settings.std)
         self._optimiser = torch.optim.Adam(self.policy.parameters(), settings.learning_rate)
         self.iteration, self.trajectories, self.cpu_seconds = 0, 0, 0.0
@@ -298,21 +303,25 @@ class BumpTraining:
 
     def _pose(self) -> None:
         # A goal beyond the reach of one side would need another shape.
-        found = [means for problem in posed(self._scenes) if (means := self._means(problem))]
+        found = [
+            (PosedScene(scene, problem), means)
+            for scene, problem in zip(self._scenes, posed(self._scenes), strict=True)
+            if (means := self._means(problem))
+        ]
         if self.iteration == 0:
-            scale = scale_of([each for means in found for each in means])
+            scale = scale_of([each for _, means in found for each in means])
             self.policy.scale.copy_(torch.from_numpy(scale))
-        self._places = []
-        for means in found:
-            self._places.append(
-                _Place(
-                    means[0].problem,
-                    np.stack([each.mean[::_STRIDE] for each in means]),
-                    np.stack([each.directions[:, ::_STRIDE] for each in means]),
-                    look(means, ())[0],
-                    hand_paths(means),
-                )
+        stride = self._rewards.stride
+        self._places = [
+            _Place(
+                known,
+                np.stack([each.mean[::stride] for each in means]),
+                np.stack([each.directions[:, ::stride] for each in means]),
+                look(means, ())[0],
+                hand_paths(means),
             )
+            for known, means in found
+        ]
 
     def run(
         self,
@@ -372,33 +381,26 @@ class BumpTraining:
             scores=scores,
         )
 
-    def _met(self, rng: np.random.Generator) -> tuple[_Place, Problem, Any]:
-        """Return a training scene, the problem that it is now, and what the network sees."""
+    def _visit(self, rng: np.random.Generator) -> tuple[_Place, PosedScene, Any]:
+        """Return a training scene, what it is as it is met now, and what the network sees."""
         place = self._places[rng.integers(len(self._places))]
         origin = place
         if rng.random() < self._settings.exchanged:
             origin = self._places[rng.integers(len(self._places))]
-        movable = origin.problem.movable
+        movable = origin.known.problem.movable
         shift = self._settings.shift * rng.standard_normal((len(movable), 3)) * (1.0, 1.0, 0.0)
-        met = tuple(
+        obstacles = tuple(
             o.model_copy(update={"position": tuple((np.array(o.position) + by).tolist())})
             for o, by in zip(movable, shift, strict=True)
         )
-        seen = place.context, rows_of(place.hand, met)
-        return place, _with_obstacles(place.problem, met), seen
+        met = self._rewards.met(place.known, obstacles)
+        return place, met, (place.context, rows_of(place.hand, met.problem.movable))
 
     def _step(self, loss: torch.Tensor) -> None:
         self._optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
         self._optimiser.step()
-
-    def _visit(self, rng: np.random.Generator) -> tuple[_Place, SoftenedCheck, Any]:
-        """Return a scene, the check of it as it is met now, and what the network sees."""
-        place, problem, seen = self._met(rng)
-        limit = self._planner.plan_settings.duration_limit
-        check = SoftenedCheck(problem, place.means.shape[1], _FLOOR, limit)
-        return place, check, seen
 
     def _iterate(self) -> FloatArray:
         """Learn from one batch; return its mean reward, shares of clear trajectories and scenes."""
@@ -415,15 +417,9 @@ class BumpTraining:
             before = drawn.log_prob(component, action)
         numbers = (action * policy.scale).numpy().astype(np.float64)
         reward, clear = np.empty((2, settings.batch, settings.rollouts))
-        for index, (place, check, _) in enumerate(visits):
-            of_scene = component[index].numpy()
-            for side in np.unique(of_scene):
-                chosen = of_scene == side
-                paths = moved(place.means[side], place.directions[side], numbers[index, chosen])
-                clearance = check.clearance(paths)
-                clear[index, chosen] = clearance > 0.0
-                reward[index, chosen] = np.minimum(clearance, _ENOUGH) / -_FLOOR
-        reward += clear
+        for index, (place, met, _) in enumerate(visits):
+            paths = place.trajectories(component[index].numpy(), numbers[index])
+            reward[index], clear[index] = self._rewards.of(met, paths)
         advantage = reward - reward.mean(axis=1, keepdims=True)
         advantage /= advantage.std() + 1e-6
         advantages = torch.from_numpy(advantage.astype(np.float32))
@@ -460,16 +456,3 @@ class BumpTraining:
         self.iteration, self.trajectories = content["iteration"], content["trajectories"]
         self.cpu_seconds = content["cpu_seconds"]
         self.curve = [CurvePoint(**point) for point in content["curve"]]
-
-
-def _with_obstacles(problem: Problem, obstacles: tuple[Obstacle, ...]) -> Problem:
-    """Return a problem with other obstacles that are no fixtures of the task."""
-    old = set(problem.movable)
-    stages = tuple(
-        replace(
-            stage,
-            obstacles=(*obstacles, *(o for o in stage.obstacles if o not in old)),
-        )
-        for stage in problem.stages
-    )
-    return replace(problem, stages=stages, movable=obstacles)

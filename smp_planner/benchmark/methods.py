@@ -22,6 +22,7 @@ from smp_gym.rollout import Policy
 from smp_gym.suites import Cell
 from smp_planner.agents.shipped import TRAINED_BY
 from smp_planner.planners import registry
+from smp_planner.planners.bump_planner import LEARNED
 from smp_planner.planners.registry import installed_methods, known_methods
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.policy.replanned_execution import LATENCY
@@ -100,7 +101,7 @@ class Acting:
             replan_every: see `policy`, as the next.
             latency: of plans.
         """
-        if self.plans and replan_every is None:
+        if self.plans and replan_every is None and self.spec not in LEARNED:
             return
         for task, sensing in dict.fromkeys((cell.task, cell.sensing) for cell in cells):
             self.policy(task, sensing, replan_every=replan_every, latency=latency)

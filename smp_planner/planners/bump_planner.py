@@ -1,10 +1,11 @@
-"""`mp_rl` and `detour`: planners whose proposals a learned policy makes, in one look at the scene.
+"""`mp_rl` and its kin: planners whose proposals a learned policy makes, in one look at the scene.
 
 They start from the primitive of `smp`, have as many tries as it has particles, and choose the best
 by the same exact check: the first proposal is the policy's mean action, the others are drawn from
-it (`smp_planner.planners.bump_policy`). Nothing is adapted to the scene. The network sees rows of
-obstacles; where a depth camera's points are observed in their place, it sees none, and proposals
-are only checked against them.
+it (`smp_planner.planners.bump_policy`). Nothing is adapted to the scene. `mp_rl_physics` is `mp_rl`
+with another reward in training, that of the physics; `detour` does not see the scene. The network
+sees rows of obstacles; where a depth camera's points are observed in their place, it sees none, and
+proposals are only checked against them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from smp_planner.torch_threads import one_thread
 
 __all__ = ["LEARNED", "BumpPlanner", "ProposalSettings"]
 
-LEARNED = ("mp_rl", "detour")
+LEARNED = ("mp_rl", "mp_rl_physics", "detour")
 """Names of the planners whose proposals are learned; those of `smp` are their other settings."""
 
 
@@ -99,7 +100,8 @@ class BumpPlanner:
         except FileNotFoundError:
             raise ValueError(
                 f"{name} needs an agent for {demonstrations.task}, and there is no {path}: train "
-                "one with scripts/train_mp_rl.py and give its card as the setting 'agent'"
+                f"one with scripts/train_mp_rl.py --agent {name}, then write it there with "
+                "scripts/ship_agent.py or give its card as the setting 'agent'"
             ) from None
         self.prior: Prior = learn_prior(list(np.array(demonstrations.configurations)), prior)
         expected = (name, demonstrations.task, self.prior.single.dimension * self.card.bumps)

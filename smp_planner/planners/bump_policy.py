@@ -1,4 +1,4 @@
-"""The policy of `mp_rl` and `detour`: from a scene to a distribution over bumps on the mean.
+"""The policy of `mp_rl` and its kin: from a scene to a distribution over bumps on the mean.
 
 An action is one choice of a component of the prior, such as a side, and the numbers of
 `smp_planner.planning.bumps` for its conditioned mean. Their distribution is a categorical one over

@@ -84,6 +84,10 @@ class Track:
             (1 - share) * self.trajectory[before] + share * self.trajectory[before + 1]
         )
 
+    def phase(self, step: int) -> float:
+        """Return the phase in [0, 1] that is due after so many environment steps of the episode."""
+        return float(np.clip(self._time(step - self.first_step) / self.duration, 0.0, 1.0))
+
     def action(self, step: int, reference: FloatArray) -> NDArray[np.float32]:
         """Return the action (7,) of one environment step.
 

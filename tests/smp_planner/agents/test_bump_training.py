@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import torch
+from shipped_planners import planners_of
 
 from smp_gym.folder_lock import FolderInUseError
 from smp_gym.scene import TASKS
@@ -229,13 +230,19 @@ def test_a_shipped_agent_acts_as_before_and_carries_its_scores(trained, tmp_path
         scores_of(results, "mp_rl", "DrawS")
 
 
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("name", LEARNED)
+def test_mp_rl_and_its_control_are_shipped_for_every_task():
+    for task in TASKS:
+        assert {"mp_rl", "detour"} <= set(planners_of(task))
+
+
+@pytest.mark.parametrize(
+    ("name", "task"), [(n, task) for task in TASKS for n in planners_of(task) if n in LEARNED]
+)
 def test_shipped_agents_are_small_and_say_what_they_are(name, task):
     path = shipped_agent(name, task)
     policy, card = read_agent(path)
     assert (card.agent, card.task) == (name, task)
-    assert policy.shape.sees == (name == "mp_rl")
+    assert policy.shape.sees == (name != "detour")
     assert path.with_suffix(".safetensors").stat().st_size < 320_000
     for entry in ("seed", "iterations", "trajectories", "cpu_seconds"):
         assert card.training[entry] >= 0
@@ -274,6 +281,7 @@ def test_damaged_files_and_wrong_agents_are_refused(trained, tmp_path):
     [
         ('{"*": {"rollouts": 1}}', "rollouts"),
         ('{"*": {"speed": 1}}', "speed"),
+        ('{"*": {"reward": "luck"}}', "reward"),
         ("[]", "must hold settings by name"),
         ("{", "JSON"),
     ],

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from smp_gym.rollout import Moment, rollout
+from smp_gym.suites import Cell
 from smp_planner.benchmark.episodes import EpisodeKey, play_episode
 from smp_planner.benchmark.methods import resolve_method
+from smp_planner.planners import bump_planner
 
 AGENT = '''
 import numpy as np
@@ -107,3 +109,13 @@ def test_what_is_no_method_is_refused(module: Path, spec: str, message: str) -> 
 def test_an_agent_is_made_by_the_task_alone(module: Path) -> None:
     with pytest.raises(ValueError, match=r"agent 'a' must be made by the name of a task alone"):
         resolve_method("a=waving_agent:Many").policy("DrawS")
+
+
+def test_a_learned_planner_without_an_agent_is_refused_before_anything_is_played(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    method = resolve_method("mp_rl")
+    method.check([Cell("DrawS", "easy")], None, 2)
+    monkeypatch.setattr(bump_planner, "shipped_agent", lambda name, task: tmp_path / "none.json")
+    with pytest.raises(ValueError, match=r"mp_rl needs an agent for DrawS.*--agent mp_rl, then"):
+        method.check([Cell("DrawS", "easy")], None, 2)

@@ -3,6 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from shipped_planners import planners_of
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError, box_spheres, concatenate, end_effector_pose
@@ -10,7 +11,7 @@ from smp_gym.robot.kinematics import finger_spheres as fingers
 from smp_gym.sampling import sample_scene
 from smp_gym.scene import BIN_HEIGHT, Obstacle, fixtures
 from smp_planner.inference import SETTINGS
-from smp_planner.planners import PLANNERS, make_planner
+from smp_planner.planners import make_planner
 from smp_planner.planning.problem import Planner, arm_problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.target import SceneTarget
@@ -50,7 +51,7 @@ def plan(smp, scene):
 
 
 def test_every_planner_fulfils_the_protocol():
-    for name in PLANNERS:
+    for name in planners_of("Placement"):
         planner = make_planner(name, "Placement")
         assert isinstance(planner, Planner)
 

@@ -5,6 +5,7 @@ import threading
 import numpy as np
 import pytest
 import torch
+from shipped_planners import planners_of
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.sampling import sample_scene
@@ -13,7 +14,7 @@ from smp_planner import SMP, Circle
 from smp_planner.agents.posed_scenes import posed
 from smp_planner.movement_primitives import ProMP
 from smp_planner.movement_primitives.mixture import ProMPMixture
-from smp_planner.planners import PLANNERS, make_planner
+from smp_planner.planners import make_planner
 from smp_planner.planning import pipeline
 from smp_planner.planning.prior import learn_prior
 from smp_planner.planning.settings import PriorSettings
@@ -124,7 +125,7 @@ def test_a_plan_is_the_same_on_any_number_of_threads(torch_threads):
 def test_every_planner_plans_the_same_on_any_number_of_threads(task, torch_threads, monkeypatch):
     """What it learns included; also on more threads than there are cores."""
     (problem,) = posed([sample_scene(task, "easy", 2)])
-    names = [name for name in PLANNERS if name != "rrt_connect"]
+    names = [name for name in planners_of(task) if name != "rrt_connect"]
     plans = []
     for threads in (1, 2, 4):
         torch_threads(threads)

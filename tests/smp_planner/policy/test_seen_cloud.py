@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from shipped_planners import planners_of
 
 import smp_gym  # noqa: F401
 from smp_gym.geometry.distance import signed_distance
@@ -13,7 +14,6 @@ from smp_planner.collision.edge_check import EdgeChecker
 from smp_planner.collision.robot_model import jaco_model
 from smp_planner.collision.verification import check_collisions
 from smp_planner.occupancy.point_cloud import closed_surface, layers_behind
-from smp_planner.planners import PLANNERS
 from smp_planner.policy.observed_problem import seen_map
 from smp_planner.policy.planner_policy import PlannerPolicy
 
@@ -82,7 +82,7 @@ def test_both_checks_see_the_cloud_alike(env):
     assert (by_edges < alone).any()
 
 
-@pytest.mark.parametrize("method", PLANNERS)
+@pytest.mark.parametrize("method", planners_of(TASK))
 def test_every_method_plans_on_the_cloud(env, method):
     observation, _ = env.reset(seed=2)
     settings = {"particles": 4} if method == "rrt_connect" else {"particles": 12}

@@ -72,6 +72,19 @@ def test_an_event_within_the_trajectory_happens_there():
     assert (actions[30:, 6] == 1.0).all()
 
 
+@pytest.mark.parametrize("command", [-1.0, 1.0])
+def test_the_phase_is_where_the_reference_is_led(command):
+    """Also while the arm stands still because the hand closes."""
+    line = np.linspace(0.0, 0.01, 11)[:, None] * np.ones(6)
+    track = Track(line, 4.9 * CONTROL_PERIOD, GripperEvent(0.5, command), first_step=3)
+    phases = [track.phase(step) for step in range(3, 40)]
+    for step, phase in zip(range(2, 39), phases, strict=True):
+        led_to = track.action(step, np.zeros(6))[:6] * CONTROL_PERIOD * JOINT_VELOCITY
+        np.testing.assert_allclose(led_to, 0.01 * phase, atol=1e-7)
+    assert phases[0] == 0.0
+    assert phases[-1] == 1.0
+
+
 def test_the_event_is_learned_from_demonstrations():
     gripper = np.ones((3, 101))
     for row, first in zip(gripper, (40, 50, 60), strict=True):
