@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
-from typing_extensions import Self
 
 from smp_gym.observation import MAX_EPISODE_STEPS, observation_space
 from smp_gym.scene import TASKS
@@ -104,7 +103,7 @@ class HyperParameters(StrictSettings):
         return arguments
 
     @model_validator(mode="after")
-    def _parts_fit(self) -> Self:
+    def _parts_fit(self) -> HyperParameters:
         if self.algorithm != "SAC":
             for name in ("gripper_openings", "her"):
                 if getattr(self, name) is not None:
@@ -121,7 +120,7 @@ class HyperParameters(StrictSettings):
         return self
 
     @classmethod
-    def from_json(cls, path: Path, agent: str, task: str) -> Self:
+    def from_json(cls, path: Path, agent: str, task: str) -> HyperParameters:
         """Read hyper-parameters: those of ``"*"`` in a JSON file, a task's, an agent's, and both's.
 
         Args:

@@ -67,7 +67,7 @@ def ratio_to_floor(rows: Sequence[Row], task: str, method: str) -> tuple[int, fl
     """
     distances = {
         name: {
-            row["seed"]: float(row["wasserstein"])  # type: ignore[arg-type]
+            row["seed"]: float(row["wasserstein"])
             for row in rows
             if (row["task"], row["method"]) == (task, name) and row["wasserstein"] not in (None, "")
         }
