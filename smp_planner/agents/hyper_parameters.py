@@ -34,18 +34,25 @@ class GripperOpeningSettings(StrictSettings):
 
 
 class DemonstrationSettings(StrictSettings):
-    """What an agent is shown of a planner's episodes, see `smp_planner.agents.shown_decisions`.
+    """What an agent is shown of a planner's episodes, see `smp_planner.agents.demonstrated_sac`.
 
     Attributes:
         episodes: of `smp`, those that fail left out.
         share: of each batch that is drawn from them.
         cloning_steps: steps of the gradient, before the training, in which the actor learns to do
             what was shown.
+        noise: standard deviation of what is added to an action that is cloned, as a share of its
+            range.
+        critic_decisions: number of decisions in which the critic alone learns.
+        pull: weight of what was shown in the actor's later steps.
     """
 
     episodes: int = Field(default=100, ge=1)
     share: float = Field(default=0.5, gt=0.0, lt=1.0)
-    cloning_steps: int = Field(default=2000, ge=0)
+    cloning_steps: int = Field(default=3000, ge=0)
+    noise: float = Field(default=0.1, gt=0.0, le=1.0)
+    critic_decisions: int = Field(default=1000, ge=0)
+    pull: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
 
 
 class HyperParameters(StrictSettings):

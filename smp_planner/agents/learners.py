@@ -15,15 +15,21 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from smp_planner.agents.decisions import ACTION_REPEAT, CPU_SECONDS
+from smp_planner.agents.demonstrated_sac import DemonstratedSAC
 from smp_planner.agents.exploration import GripperOpenings
 from smp_planner.agents.goal_features import GoalFeatures
 from smp_planner.agents.hyper_parameters import HyperParameters
 from smp_planner.agents.shown_decisions import ShownReplayBuffer
 
-__all__ = ["ALGORITHMS", "make_model"]
+__all__ = ["class_of", "make_model"]
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"SAC": SAC, "PPO": PPO}
-"""Classes by the names that `HyperParameters.algorithm` has."""
+
+def class_of(settings: HyperParameters) -> type[BaseAlgorithm]:
+    """Return the class of an agent."""
+    if settings.demonstrations is not None:
+        return DemonstratedSAC
+    classes: dict[str, type[BaseAlgorithm]] = {"SAC": SAC, "PPO": PPO}
+    return classes[settings.algorithm]
 
 
 def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> BaseAlgorithm:
@@ -59,7 +65,9 @@ def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> 
     if settings.demonstrations is not None:
         arguments["replay_buffer_class"] = ShownReplayBuffer
         arguments["replay_buffer_kwargs"]["share"] = settings.demonstrations.share
-    algorithm: Any = ALGORITHMS[settings.algorithm]
+    if settings.demonstrations is not None:
+        arguments["demonstrations"] = settings.demonstrations
+    algorithm: Any = class_of(settings)
     try:
         model: BaseAlgorithm = algorithm(
             "MultiInputPolicy", env, seed=seed, device="cpu", **arguments

@@ -20,7 +20,7 @@ import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor
@@ -29,7 +29,7 @@ from smp_gym.rollout import Moment, rollout
 from smp_gym.sampling import sample_scene
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-__all__ = ["Decision", "ShownReplayBuffer", "clone", "shown_episodes"]
+__all__ = ["Decision", "ShownReplayBuffer", "shown_episodes"]
 
 FIRST_SEED = 90_000
 """Tuning seed of the first scene that is shown to a training with seed 0."""
@@ -124,6 +124,20 @@ class ShownReplayBuffer(HerReplayBuffer):
                     [{"TimeLimit.truncated": ended and not decision.terminated}],
                 )
 
+    def shown_batch(self, count: int) -> tuple[dict[str, Tensor], Tensor]:
+        """Return observations and actions of so many decisions that were shown, with their goals.
+
+        Raises:
+            ValueError: nothing was shown.
+        """
+        if self.shown is None:
+            raise ValueError("the buffer must hold episodes that were shown, got none")
+        rows = torch.randint(self.shown.size(), (count,)).numpy()
+        seen = {
+            key: torch.from_numpy(value[rows, 0]) for key, value in self.shown.observations.items()
+        }
+        return seen, torch.from_numpy(self.shown.actions[rows, 0])
+
     def set_env(self, env: VecEnv) -> None:
         """Set the environment, which says what goals are worth in hindsight."""
         super().set_env(env)
@@ -149,32 +163,3 @@ class ShownReplayBuffer(HerReplayBuffer):
 
 def _joined(one: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {key: torch.cat([one[key], other[key]]) for key in one}
-
-
-def clone(model: SAC, steps: int, batch: int = 256, rate: float = 1e-3) -> float:
-    """Teach an agent's actor what was shown, and return the mean squared error in the end.
-
-    Args:
-        model: whose replay buffer is a `ShownReplayBuffer` with episodes.
-        steps: of the gradient.
-        batch: decisions in each.
-        rate: of Adam.
-    """
-    buffer = model.replay_buffer
-    assert isinstance(buffer, ShownReplayBuffer)
-    shown = buffer.shown
-    assert shown is not None
-    filled = shown.size()
-    actions = torch.from_numpy(shown.actions[:filled, 0])
-    seen = {key: torch.from_numpy(value[:filled, 0]) for key, value in shown.observations.items()}
-    generator = torch.Generator().manual_seed(model.seed or 0)
-    optimiser = torch.optim.Adam(model.actor.parameters(), rate)
-    loss = torch.zeros(())
-    for _ in range(steps):
-        rows = torch.randint(filled, (batch,), generator=generator)
-        found = model.actor({key: value[rows] for key, value in seen.items()}, deterministic=True)
-        loss = (found - actions[rows]).square().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    return float(loss.detach())

@@ -38,7 +38,6 @@ from typing import Any
 
 import gymnasium
 from gymnasium.wrappers import FilterObservation
-from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
@@ -50,6 +49,7 @@ from smp_gym.registration import environment_id
 from smp_gym.scene import EVALUATION_SEEDS_START
 from smp_planner.agents.checkpoints import load_checkpoint, save_checkpoint
 from smp_planner.agents.decisions import CPU_SECONDS, ActionRepeat
+from smp_planner.agents.demonstrated_sac import DemonstratedSAC
 from smp_planner.agents.evaluations import (
     Evaluation,
     draw_curve,
@@ -58,8 +58,8 @@ from smp_planner.agents.evaluations import (
     write_evaluations,
 )
 from smp_planner.agents.hyper_parameters import HyperParameters
-from smp_planner.agents.learners import ALGORITHMS, make_model
-from smp_planner.agents.shown_decisions import ShownReplayBuffer, clone, shown_episodes
+from smp_planner.agents.learners import class_of, make_model
+from smp_planner.agents.shown_decisions import ShownReplayBuffer, shown_episodes
 
 __all__ = ["Training"]
 
@@ -143,7 +143,7 @@ class Training:
             env_kwargs={"difficulty": difficulty},
             wrapper_class=partial(seen, action_repeat=settings.action_repeat),
         )
-        there = load_checkpoint(folder, env, ALGORITHMS[settings.algorithm])
+        there = load_checkpoint(folder, env, class_of(settings))
         self.model = there or make_model(env, task, settings, seed)
         # Only now are the settings known to be good: those that are refused claim no folder.
         folder.mkdir(parents=True, exist_ok=True)
@@ -169,7 +169,7 @@ class Training:
         wanted = self._settings.demonstrations
         if wanted is None or self.steps:
             return
-        assert isinstance(self.model, SAC)
+        assert isinstance(self.model, DemonstratedSAC)
         assert isinstance(self.model.replay_buffer, ShownReplayBuffer)
         repeat = self._settings.action_repeat
         with gymnasium.make(self._id, difficulty=self._difficulty) as env:
@@ -179,7 +179,7 @@ class Training:
                 episodes.append(episode)
                 progress(len(episodes), wanted.episodes)
         self.model.replay_buffer.show(episodes)
-        clone(self.model, wanted.cloning_steps)
+        self.model.clone()
 
     def run(
         self, steps: int, *, every: int, episodes: int, progress: Callable[[int, float], None]
