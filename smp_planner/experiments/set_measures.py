@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, IntArray
 from smp_planner.benchmark.metrics import (
     energy_distance,
     frechet,
@@ -18,7 +18,7 @@ from smp_planner.benchmark.metrics import (
     wasserstein,
 )
 
-__all__ = ["PosteriorSample", "against_posterior", "of_trajectories"]
+__all__ = ["PosteriorSample", "against_posterior", "class_variation", "of_trajectories"]
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,21 @@ def against_posterior(trajectories: FloatArray, sample: PosteriorSample) -> dict
         "frechet": 1e3 * frechet(set_, draws),
         "coverage": 100.0 * float(near.mean()),
     }
+
+
+def class_variation(signatures: IntArray, others: IntArray) -> float:
+    """Return the total variation, 0 to 1, between the shares of classes in two sets.
+
+    Args:
+        signatures: (P, S) of one set, equal within a class; P at least 1.
+        others: (R, S) of the other.
+    """
+    known, labels = np.unique(np.concatenate([signatures, others]), axis=0, return_inverse=True)
+    first, second = (
+        np.bincount(part.ravel(), minlength=len(known)) / len(part)
+        for part in np.split(labels, [len(signatures)])
+    )
+    return float(0.5 * np.abs(first - second).sum())
 
 
 def of_trajectories(

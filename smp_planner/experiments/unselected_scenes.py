@@ -29,6 +29,7 @@ from smp_planner.experiments.environments import environment
 from smp_planner.experiments.set_measures import (
     PosteriorSample,
     against_posterior,
+    class_variation,
     of_trajectories,
 )
 from smp_planner.experiments.tables import Column, Row
@@ -109,6 +110,8 @@ COLUMNS = (
     Column("wasserstein", "W1 to it, mrad", 0),
     Column("frechet", "Fréchet, mrad", 0),
     Column("coverage", "Coverage, %", 0),
+    Column("variation", "Total variation of classes' shares"),
+    Column("goals", "of goals' shares"),
     Column("demonstrations", "W1 to the demonstrations, mrad", 0),
     Column("classes", "Classes", 1),
     Column("entropy", "Entropy, nats"),
@@ -116,7 +119,7 @@ COLUMNS = (
     Column("jerk", "Smoothness", 1),
     Column("seconds", "Planning, s"),
 )
-"""Columns of the printed table. Classes are those of the good particles, distances of all."""
+"""Columns of the printed table. Classes and goals are those of good particles, distances of all."""
 
 COMPARED = (
     "good",
@@ -125,6 +128,8 @@ COMPARED = (
     "wasserstein",
     "frechet",
     "coverage",
+    "variation",
+    "goals",
     "demonstrations",
     "entropy",
     "seconds",
@@ -290,7 +295,8 @@ def _row(
     sample: PosteriorSample | None,
     demonstrations: Sequence[FloatArray],
 ) -> dict[str, str | float | None]:
-    modes = group(signatures(problem, paths[good])) if good.any() else None
+    classes = signatures(problem, paths[good]) if good.any() else None
+    modes = None if classes is None else group(classes)
     row: dict[str, str | float | None] = {column.name: None for column in COLUMNS}
     row |= {
         "task": cell.task,
@@ -305,4 +311,9 @@ def _row(
         row |= of_trajectories(paths, demonstrations)
         if sample is not None:
             row |= against_posterior(paths, sample)
+    if classes is not None and sample is not None:
+        drawn = signatures(problem, sample.draws)
+        row["variation"] = class_variation(classes, drawn)
+        # The first number of a signature is that of the goal.
+        row["goals"] = class_variation(classes[:, :1], drawn[:, :1])
     return row
