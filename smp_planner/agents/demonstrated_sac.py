@@ -2,9 +2,9 @@
 
 A critic that knows nothing drives a cloned actor to where it errs most in its favour, and all that
 was cloned is lost within a hundred decisions. So the actor stays as it was cloned until the critic
-has learned what it is worth, and later takes, beside each step of SAC, one towards what was shown
-(the weights of Fujimoto and Gu 2021, "A Minimalist Approach to Offline Reinforcement Learning", are
-of the same order).
+has learned what it is worth, and then learns more slowly than it does, with a step towards what was
+shown beside each step of SAC (as Fujimoto and Gu 2021, "A Minimalist Approach to Offline
+Reinforcement Learning", add that to the loss). There is no hindsight: what succeeds is shown.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 from stable_baselines3 import SAC
-from torch import Tensor
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from smp_planner.agents.hyper_parameters import DemonstrationSettings
 from smp_planner.agents.shown_decisions import ShownReplayBuffer
@@ -55,42 +55,43 @@ class DemonstratedSAC(SAC):
         optimiser = torch.optim.Adam(self.actor.parameters(), _CLONING_RATE)
         distribution: Any = self.actor.action_dist
         for _ in range(self.demonstrations.cloning_steps):
-            seen, actions = self._shown()
-            noise = self.demonstrations.noise * torch.randn(actions.shape)
-            mean, log_std, _ = self.actor.get_action_dist_params(seen)
+            shown = self._shown()
+            noise = self.demonstrations.noise * torch.randn(shown.actions.shape)
+            actions = (shown.actions + noise).clamp(-_LARGEST, _LARGEST)
+            mean, log_std, _ = self.actor.get_action_dist_params(shown.observations)
             found = distribution.proba_distribution(mean, log_std)
-            loss = -found.log_prob((actions + noise).clamp(-_LARGEST, _LARGEST)).mean()
+            loss = -found.log_prob(actions).mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
         return float(loss.detach())
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Take steps of the gradient, and as many towards what was shown."""
-        super().train(gradient_steps, batch_size)
+        """Take steps of the gradient, and as many towards what was shown once the actor learns."""
         assert self.demonstrations is not None
-        if self._warm() or not self.demonstrations.pull:
+        if self._critic_alone():
+            super().train(gradient_steps * self.demonstrations.critic_steps, batch_size)
             return
-        for _ in range(gradient_steps):
-            seen, actions = self._shown()
-            found = self.actor(seen, deterministic=True)
-            loss = self.demonstrations.pull * (found - actions).square().mean()
+        super().train(gradient_steps, batch_size)
+        for _ in range(gradient_steps if self.demonstrations.pull else 0):
+            shown = self._shown()
+            found = self.actor(shown.observations, deterministic=True)
+            loss = self.demonstrations.pull * (found - shown.actions).square().mean()
             self.actor.optimizer.zero_grad()
             loss.backward()
             self.actor.optimizer.step()
 
-    def _warm(self) -> bool:
-        """Return whether the critic alone learns."""
+    def _critic_alone(self) -> bool:
         assert self.demonstrations is not None
         return self.num_timesteps < self.demonstrations.critic_decisions
 
     def _update_learning_rate(self, optimizers: Any) -> None:
         super()._update_learning_rate(optimizers)
-        if self._warm():
-            for group in self.actor.optimizer.param_groups:
-                group["lr"] = 0.0
+        assert self.demonstrations is not None
+        share = 0.0 if self._critic_alone() else self.demonstrations.actor_rate
+        for group in self.actor.optimizer.param_groups:
+            group["lr"] *= share
 
-    def _shown(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Return observations and actions of a batch of what was shown."""
+    def _shown(self) -> DictReplayBufferSamples:
         assert isinstance(self.replay_buffer, ShownReplayBuffer)
         return self.replay_buffer.shown_batch(_BATCH)

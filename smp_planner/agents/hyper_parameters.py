@@ -44,14 +44,18 @@ class DemonstrationSettings(StrictSettings):
         noise: standard deviation of what is added to an action that is cloned, as a share of its
             range.
         critic_decisions: number of decisions in which the critic alone learns.
-        pull: weight of what was shown in the actor's later steps.
+        critic_steps: times the steps of the gradient that it takes in them.
+        actor_rate: learning rate of the actor after them, as a share of the critic's.
+        pull: weight of what was shown in the actor's steps.
     """
 
     episodes: int = Field(default=100, ge=1)
     share: float = Field(default=0.5, gt=0.0, lt=1.0)
     cloning_steps: int = Field(default=3000, ge=0)
     noise: float = Field(default=0.1, gt=0.0, le=1.0)
-    critic_decisions: int = Field(default=1000, ge=0)
+    critic_decisions: int = Field(default=3000, ge=0)
+    critic_steps: int = Field(default=4, ge=1)
+    actor_rate: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
     pull: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
 
 
@@ -71,7 +75,7 @@ class HyperParameters(StrictSettings):
         arguments: of the algorithm; a ``learning_rate`` with ``start`` and ``end`` changes linearly
             over the training.
         her: arguments of `stable_baselines3.HerReplayBuffer`, of SAC; None for none.
-        demonstrations: what is shown to an agent with hindsight; None for nothing.
+        demonstrations: what is shown to an agent of SAC without hindsight; None for nothing.
     """
 
     algorithm: Literal["SAC", "PPO"] = "SAC"
@@ -112,11 +116,11 @@ class HyperParameters(StrictSettings):
     @model_validator(mode="after")
     def _parts_fit(self) -> HyperParameters:
         if self.algorithm != "SAC":
-            for name in ("gripper_openings", "her"):
+            for name in ("gripper_openings", "her", "demonstrations"):
                 if getattr(self, name) is not None:
                     raise ValueError(f"{name} must be null but for SAC, got it for PPO")
-        if self.demonstrations is not None and self.her is None:
-            raise ValueError("demonstrations must be null where her is, got them without hindsight")
+        if self.demonstrations is not None and self.her is not None:
+            raise ValueError("demonstrations must be null where her is not, got both")
         needed = self.environments * -(-MAX_EPISODE_STEPS // self.action_repeat)
         starts = self.arguments.get("learning_starts", 0)
         if self.her is not None and starts < needed:

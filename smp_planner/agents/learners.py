@@ -64,8 +64,7 @@ def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> 
         arguments["replay_buffer_kwargs"] = dict(settings.her)
     if settings.demonstrations is not None:
         arguments["replay_buffer_class"] = ShownReplayBuffer
-        arguments["replay_buffer_kwargs"]["share"] = settings.demonstrations.share
-    if settings.demonstrations is not None:
+        arguments["replay_buffer_kwargs"] = {"share": settings.demonstrations.share}
         arguments["demonstrations"] = settings.demonstrations
     algorithm: Any = class_of(settings)
     try:

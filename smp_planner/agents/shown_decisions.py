@@ -13,16 +13,16 @@ from smp_gym.optional_packages import require
 require("rl", "smp_planner.agents.shown_decisions")
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import count
+from itertools import chain, count
 from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import HerReplayBuffer
+from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
 
 from smp_gym.rollout import Moment, rollout
@@ -89,69 +89,50 @@ def _decisions(moments: Sequence[Moment], repeat: int) -> list[Decision]:
     return found
 
 
-class ShownReplayBuffer(HerReplayBuffer):
-    """A buffer with hindsight that draws a share of each batch from episodes that were shown.
+class ShownReplayBuffer(DictReplayBuffer):
+    """A replay buffer that draws a share of each batch from episodes that were shown.
 
     Args:
-        arguments: of `HerReplayBuffer`, in its order.
+        arguments: of `DictReplayBuffer`, in its order.
         share: of each batch.
-        named: arguments of `HerReplayBuffer`, by name.
+        named: arguments of `DictReplayBuffer`, by name.
     """
 
     def __init__(self, *arguments: Any, share: float, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._share = share
-        self._named = {key: named[key] for key in ("n_sampled_goal", "goal_selection_strategy")}
-        self.shown: HerReplayBuffer | None = None
+        self.shown: DictReplayBuffer | None = None
 
     def show(self, episodes: Sequence[Sequence[Decision]]) -> None:
         """Keep episodes to draw from."""
-        assert self.env is not None
         total = sum(map(len, episodes))
-        # One more, since an episode that ends with the buffer would begin with it, too.
-        self.shown = HerReplayBuffer(
-            total + 1, self.observation_space, self.action_space, self.env, **self._named
-        )
-        for episode in episodes:
-            for index, decision in enumerate(episode):
-                ended = index + 1 == len(episode)
-                self.shown.add(
-                    {key: decision.before[key][None] for key in self.observations},
-                    {key: decision.after[key][None] for key in self.observations},
-                    decision.action[None],
-                    np.array([decision.reward]),
-                    np.array([ended]),
-                    [{"TimeLimit.truncated": ended and not decision.terminated}],
-                )
+        self.shown = DictReplayBuffer(total, self.observation_space, self.action_space)
+        for decision in chain.from_iterable(episodes):
+            self.shown.add(
+                {key: decision.before[key][None] for key in self.observations},
+                {key: decision.after[key][None] for key in self.observations},
+                decision.action[None],
+                np.array([decision.reward]),
+                np.array([decision.terminated]),
+                [{}],
+            )
 
-    def shown_batch(self, count: int) -> tuple[dict[str, Tensor], Tensor]:
-        """Return observations and actions of so many decisions that were shown, with their goals.
+    def shown_batch(self, count: int) -> DictReplayBufferSamples:
+        """Return so many decisions that were shown.
 
         Raises:
             ValueError: nothing was shown.
         """
         if self.shown is None:
             raise ValueError("the buffer must hold episodes that were shown, got none")
-        rows = torch.randint(self.shown.size(), (count,)).numpy()
-        seen = {
-            key: torch.from_numpy(value[rows, 0]) for key, value in self.shown.observations.items()
-        }
-        return seen, torch.from_numpy(self.shown.actions[rows, 0])
-
-    def set_env(self, env: VecEnv) -> None:
-        """Set the environment, which says what goals are worth in hindsight."""
-        super().set_env(env)
-        if self.shown is not None:
-            self.shown.set_env(env)
+        return self.shown.sample(count)
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
     ) -> DictReplayBufferSamples:
         """Return a batch, the share of it from what was shown first."""
-        if self.shown is None:
-            return super().sample(batch_size, env)
         count = round(self._share * batch_size)
-        shown, own = self.shown.sample(count, env), super().sample(batch_size - count, env)
+        shown, own = self.shown_batch(count), super().sample(batch_size - count, env)
         return DictReplayBufferSamples(
             observations=_joined(shown.observations, own.observations),
             actions=torch.cat([shown.actions, own.actions]),

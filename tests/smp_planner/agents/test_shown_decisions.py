@@ -22,12 +22,11 @@ from smp_planner.agents.shown_decisions import FIRST_SEED, shown_episodes
 REPEAT = 5
 SETTINGS = HyperParameters(
     arguments={
-        "learning_starts": 80,
+        "learning_starts": 100,
         "batch_size": 40,
         "buffer_size": 400,
         "policy_kwargs": {"net_arch": [64, 64]},
     },
-    her={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
     demonstrations=DemonstrationSettings(
         episodes=3, share=0.25, cloning_steps=600, critic_decisions=120
     ),

@@ -335,8 +335,8 @@ def test_bad_arguments_are_named(tmp_path: Path, arguments: tuple[str, ...], nam
             {**TINY, "action_repeat": 5, "arguments": {"learning_starts": 79}},
             "learning_starts must be at least 80",
         ),
-        ({**TINY, "her": None, "demonstrations": {}}, "demonstrations must be null"),
-        ({**TINY, "demonstrations": {"share": 1.0}}, "demonstrations.share"),
+        ({**TINY, "demonstrations": {}}, "demonstrations must be null where her is not"),
+        ({**TINY, "her": None, "demonstrations": {"share": 1.0}}, "demonstrations.share"),
         ({**TINY, "algorithm": "PPO"}, "gripper_openings must be null but for SAC"),
     ],
 )
