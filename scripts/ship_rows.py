@@ -81,19 +81,20 @@ def cages(
 
 @app.command()
 def sets(
-    folder: Annotated[
-        Path, typer.Argument(help="Of scripts/unselected_scenes.py.", file_okay=False)
+    folders: Annotated[
+        list[Path], typer.Argument(help="Of scripts/unselected_scenes.py.", file_okay=False)
     ],
     out: _Out = _RESULTS,
 ) -> None:
-    """Ship the rows of particle sets, and print their means and distances to the posterior.
+    """Ship the rows of particle sets, and print of each folder means and distances to the posterior.
 
-    Example: python scripts/ship_rows.py sets results/sets
+    Example: python scripts/ship_rows.py sets results/sets results/further_sets
     """
-    lines = set_rows(folder / "sets.csv")
-    _write(lines, out / SETS)
-    for table in (set_table(lines), ratio_table(lines)):
-        tell(markdown_table(table) + "\n")
+    of_folders = [set_rows(folder / "sets.csv") for folder in folders]
+    _write([line for lines in of_folders for line in lines], out / SETS)
+    for folder, lines in zip(folders, of_folders, strict=True):
+        for table in (set_table(lines), ratio_table(lines)):
+            tell(f"{folder}:\n\n{markdown_table(table)}\n")
 
 
 def _write(lines: Sequence[dict[str, str]], path: Path) -> None:
