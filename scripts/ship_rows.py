@@ -86,7 +86,7 @@ def sets(
     ],
     out: _Out = _RESULTS,
 ) -> None:
-    """Ship the rows of particle sets, and print of each folder means and distances to the posterior.
+    """Ship the rows of particle sets, and print their means and distances to the posterior.
 
     Example: python scripts/ship_rows.py sets results/sets results/further_sets
     """
