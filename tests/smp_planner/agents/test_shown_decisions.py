@@ -13,6 +13,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from smp_gym.env import SUCCESS_REWARD
 from smp_gym.registration import environment_id
 from smp_gym.sampling import sample_scene
+from smp_planner.agents.acting import load_zip
 from smp_planner.agents.checkpoints import load_checkpoint, save_checkpoint
 from smp_planner.agents.decisions import ActionRepeat
 from smp_planner.agents.hyper_parameters import DemonstrationSettings, HyperParameters
@@ -121,3 +122,12 @@ def test_what_was_shown_is_in_the_checkpoint(model, episodes, tmp_path):
     np.testing.assert_array_equal(shown.actions, model.replay_buffer.shown.actions)
     again.learn(20, reset_num_timesteps=False)
     assert again.num_timesteps == 120
+
+
+def test_what_was_trained_acts_as_an_agent_of_sac(model, episodes, tmp_path):
+    model.save(tmp_path / "agent.zip")
+    agent = load_zip(tmp_path / "agent.zip", "shown")
+    seen = episodes[0][0].before
+    held, _ = agent.predict(seen, deterministic=True)
+    own, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_array_equal(held, own)
