@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from printed_tables import TASKS, lines_of, shipped
+from printed_tables import TASKS, lines_of, page, shipped
+
+from smp_planner.experiments.set_summary import ratio_table, ratio_to_floor
 
 MEASURES = {
     "good": 0.5,
@@ -15,7 +17,7 @@ MEASURES = {
 """Half of the last digit that is printed of each."""
 
 ABLATION = ("good", "wasserstein", "entropy", "demonstrations")
-FROZEN = ("good", "success", "wasserstein", "coverage", "entropy")
+FROZEN = ("good", "success", "wasserstein", "coverage", "entropy", "demonstrations")
 
 
 def printed(first, last):
@@ -58,11 +60,42 @@ def test_parts_of_the_method_are_worth_what_their_rows_say(run, first, last, met
     check(cells, rows, ABLATION, scenes=50, references=dict.fromkeys(TASKS, 8))
 
 
-def test_sets_on_frozen_scenes_are_those_of_their_rows():
-    cells, rows = (
-        printed("## Sets of all methods", "unselected_scenes.py"),
-        shipped("frozen_sets.csv.gz"),
-    )
-    assert len(cells) == 7 * len(TASKS)
-    references = dict(zip(TASKS, (25, 25, 21, 22), strict=True))
-    check(cells, rows, FROZEN, scenes=25, references=references)
+@pytest.fixture(scope="module")
+def sets():
+    """Return the rows of the first 25 scenes of each frozen list, and of the 25 after them."""
+    rows = shipped("frozen_sets.csv.gz")
+    return [[row for row in rows if int(row["seed"]) // 25 == part] for part in (0, 1)]
+
+
+def test_sets_on_frozen_scenes_are_those_of_their_rows(sets):
+    cells = printed("## Sets of all methods", "unselected_scenes.py")
+    assert len(cells) == 11 * len(TASKS)
+    references = dict(zip(TASKS, (25, 25, 22, 21), strict=True))
+    check(cells, sets[1], FROZEN, scenes=25, references=references)
+
+
+def test_distances_to_the_posterior_are_those_of_the_rows(sets):
+    lines = {
+        method: values
+        for method, *values in lines_of("docs/arm.md", "times that of the noise floor", "says of")
+        if values and "(" in values[0]
+    }
+    table = {method: values for method, *values in ratio_table(sets[1])[1:]}
+    assert len(table) == 10
+    assert lines == table
+
+
+def test_the_earlier_sets_say_the_same(sets):
+    whole = " ".join(page("docs/arm.md").split())
+    for method, shares in (("smp", "92, 97, 79 and 75"), ("cpromp", "44, 55, 55 and 62")):
+        values = [
+            [float(row["good"]) for row in sets[0] if (row["task"], row["method"]) == (t, method)]
+            for t in TASKS
+        ]
+        assert "{:.0f}, {:.0f}, {:.0f} and {:.0f}".format(*map(np.mean, values)) == shares
+        assert shares in whole
+    for task in TASKS:
+        _, ratio, low, high = ratio_to_floor(sets[0], task, "smp")
+        assert f"{ratio:.2f} ({low:.2f}–{high:.2f})" in whole
+    chosen = [float(row["chosen"]) for row in sets[0] if row["method"] == "smp"]
+    assert f"successful in {sum(chosen) / 100:.0f} of 100 scenes" in whole
