@@ -91,6 +91,10 @@ class DemonstratedSAC(SAC):
         share = 0.0 if self._critic_alone() else self.demonstrations.actor_rate
         for group in self.actor.optimizer.param_groups:
             group["lr"] *= share
+        if self._critic_alone() and self.ent_coef_optimizer is not None:
+            # Of an actor that stays as it is the weight of the entropy would fall without an end.
+            for group in self.ent_coef_optimizer.param_groups:
+                group["lr"] = 0.0
 
     def _shown(self) -> DictReplayBufferSamples:
         assert isinstance(self.replay_buffer, ShownReplayBuffer)

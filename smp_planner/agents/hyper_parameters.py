@@ -54,7 +54,7 @@ class DemonstrationSettings(StrictSettings):
     cloning_steps: int = Field(default=3000, ge=0)
     noise: float = Field(default=0.1, gt=0.0, le=1.0)
     critic_decisions: int = Field(default=3000, ge=0)
-    critic_steps: int = Field(default=4, ge=1)
+    critic_steps: int = Field(default=2, ge=1)
     actor_rate: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
     pull: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
 

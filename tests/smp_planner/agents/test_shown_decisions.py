@@ -106,11 +106,14 @@ def test_the_critic_learns_before_the_actor_does(model):
         )
 
     actor, critic = weights()
+    entropy = float(model.log_ent_coef.detach())
     model.learn(119)
     assert torch.equal(weights()[0], actor)
+    assert float(model.log_ent_coef.detach()) == entropy
     assert not torch.equal(weights()[1], critic)
     model.learn(20, reset_num_timesteps=False)
     assert not torch.equal(weights()[0], actor)
+    assert float(model.log_ent_coef.detach()) != entropy
 
 
 def test_what_was_shown_is_in_the_checkpoint(model, episodes, tmp_path):
