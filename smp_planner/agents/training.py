@@ -167,10 +167,12 @@ class Training:
             progress: called with the number of episodes that were shown and of all.
         """
         wanted = self._settings.demonstrations
-        if wanted is None or self.steps:
+        if wanted is None:
             return
         assert isinstance(self.model, DemonstratedSAC)
         assert isinstance(self.model.replay_buffer, ShownReplayBuffer)
+        if self.model.replay_buffer.shown is not None:
+            return
         repeat = self._settings.action_repeat
         with gymnasium.make(self._id, difficulty=self._difficulty) as env:
             unending = shown_episodes(env, self._task, self._difficulty, self._seed, repeat)
@@ -204,7 +206,9 @@ class Training:
                     model.save(aside, exclude=_UNNEEDED)
             write_evaluations(self._folder / "evaluations.csv", self.evaluations)
             draw_curve(self._folder / "learning_curve.png", self.evaluations, self._title)
-            save_checkpoint(model, self._folder)
+            if model._last_obs is not None:
+                # Before the first episode there is nothing to go on from.
+                save_checkpoint(model, self._folder)
 
         def report(decisions: int) -> None:
             progress(
@@ -212,6 +216,9 @@ class Training:
             )
 
         self.show()
+        if self._settings.demonstrations is not None and not self.evaluations:
+            # What the clone can do, before it learns.
+            measure(self.model)
         remaining = -(-(steps - self.steps) // self._repeat)
         if remaining > 0:
             callback = _Periodically(-(-every // self._repeat), measure, report)

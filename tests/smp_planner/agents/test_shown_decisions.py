@@ -16,9 +16,11 @@ from smp_gym.sampling import sample_scene
 from smp_planner.agents.acting import load_zip
 from smp_planner.agents.checkpoints import load_checkpoint, save_checkpoint
 from smp_planner.agents.decisions import ActionRepeat
+from smp_planner.agents.evaluations import read_evaluations
 from smp_planner.agents.hyper_parameters import DemonstrationSettings, HyperParameters
 from smp_planner.agents.learners import class_of, make_model
 from smp_planner.agents.shown_decisions import FIRST_SEED, shown_episodes
+from smp_planner.agents.training import Training
 
 REPEAT = 5
 SETTINGS = HyperParameters(
@@ -134,3 +136,22 @@ def test_what_was_trained_acts_as_an_agent_of_sac(model, episodes, tmp_path):
     held, _ = agent.predict(seen, deterministic=True)
     own, _ = model.predict(seen, deterministic=True)
     np.testing.assert_array_equal(held, own)
+
+
+def test_a_training_is_shown_episodes_once_and_measured_before_it_learns(tmp_path):
+    shown = []
+    for steps in (300, 600):
+        training = Training(
+            tmp_path / "shown",
+            agent="sac_demonstrations",
+            task="Placement",
+            difficulty="none",
+            seed=0,
+            settings=SETTINGS,
+        )
+        training.show(lambda done, total: shown.append((done, total)))
+        training.run(steps, every=300, episodes=1, progress=lambda done, rate: None)
+        training.close()
+    assert shown == [(1, 3), (2, 3), (3, 3)]
+    evaluations = read_evaluations(tmp_path / "shown" / "evaluations.csv")
+    assert [each.steps for each in evaluations] == [0, 300, 600]
