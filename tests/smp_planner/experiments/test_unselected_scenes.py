@@ -49,8 +49,10 @@ def test_no_set_covers_the_posterior_as_little_as_the_mean(rows):
 
 def test_the_first_scenes_alone_have_references():
     cells = cells_of(["DrawS", "Placement"], "medium", range(5, 9), ["smp"], references=1)
-    assert [cell.number for cell in cells] == [5, 6, 7, 8] * 2
-    assert [cell.reference for cell in cells] == [True, False, False, False] * 2
+    assert [(cell.number, cell.task) for cell in cells] == [
+        (number, task) for number in range(5, 9) for task in ("DrawS", "Placement")
+    ]
+    assert [cell.reference for cell in cells] == [True] * 2 + [False] * 6
     (row,) = measure_scene(cells_of(["DrawS"], "none", [79_005], ["smp"], references=0)[0])
     assert row["energy"] is row["coverage"] is row["success"] is None
     assert row["good"] > 90.0
@@ -60,6 +62,8 @@ def test_the_first_scenes_alone_have_references():
     ("options", "message"),
     [
         (["--frozen", "--scenes", "101"], "--scenes"),
+        (["--frozen", "--first", "80", "--scenes", "21"], "21 from 80"),
+        (["--first", "3"], "--frozen"),
         (["--seed", "200000"], "seed"),
         (["--methods", "smp;nonsense"], "nonsense"),
     ],
