@@ -37,7 +37,7 @@ def main(
         str,
         typer.Option(
             help="Name of its hyper-parameters: sac_her (sparse reward, hindsight), "
-            "sac_demonstrations (the same, shown a planner's episodes), sac_dense, ppo (dense), or "
+            "sac_demonstrations (sparse, shown a planner's episodes), sac_dense, ppo (dense), or "
             "one that the file of --settings has."
         ),
     ] = "sac_her",

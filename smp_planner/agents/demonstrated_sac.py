@@ -45,13 +45,12 @@ class DemonstratedSAC(SAC):
         self.demonstrations = demonstrations
         super().__init__(*arguments, **named)
 
-    def clone(self) -> float:
-        """Teach the actor what was shown, mean and spread; return the loss in the end.
+    def clone(self) -> None:
+        """Teach the actor what was shown, mean and spread.
 
         The spread is that of what was shown with noise, so that something is left to explore.
         """
         assert self.demonstrations is not None
-        loss = torch.zeros(())
         optimiser = torch.optim.Adam(self.actor.parameters(), _CLONING_RATE)
         distribution: Any = self.actor.action_dist
         for _ in range(self.demonstrations.cloning_steps):
@@ -64,7 +63,6 @@ class DemonstratedSAC(SAC):
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
-        return float(loss.detach())
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Take steps of the gradient, and as many towards what was shown once the actor learns."""
