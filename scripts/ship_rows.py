@@ -1,7 +1,8 @@
 """Put rows of experiments among the assets, so that the tables of the documents can be recounted.
 
 lasa takes the tables on handwriting, narrow-places those of public arms in narrow places, cages the
-episodes of Placement in cages, and sets the particle sets on frozen scenes.
+episodes of Placement in cages, sets the particle sets on frozen scenes, and standard the episodes
+of the suite of that name.
 """
 
 from __future__ import annotations
@@ -24,11 +25,19 @@ from smp_planner.experiments.shipped_rows import (
     LASA,
     NARROW_PLACES,
     SETS,
+    STANDARD,
     cage_rows,
     lasa_rows,
     narrow_rows,
     set_rows,
     ship,
+    standard_rows,
+)
+from smp_planner.experiments.standard_summary import (
+    cell_table,
+    equal_episodes,
+    method_table,
+    pair_table,
 )
 
 app = CommandLine(
@@ -95,6 +104,34 @@ def sets(
     for folder, lines in zip(folders, of_folders, strict=True):
         for table in (set_table(lines), ratio_table(lines)):
             tell(f"{folder}:\n\n{markdown_table(table)}\n")
+
+
+@app.command()
+def standard(
+    folders: Annotated[
+        list[Path], typer.Argument(help="That smp-bench run wrote.", file_okay=False)
+    ],
+    method: Annotated[str, typer.Option(help="Held against each of the others.")] = "smp",
+    out: _Out = _RESULTS,
+) -> None:
+    """Ship the episodes of the suite standard, and print its tables.
+
+    Example: python scripts/ship_rows.py standard results/standard
+    """
+    lines = standard_rows(folders)
+    methods = {line["method"] for line in lines}
+    if method not in methods:
+        allowed = ", ".join(sorted(methods))
+        raise typer.BadParameter(f"got {method!r}, allowed are {allowed}", param_hint="--method")
+    _write(lines, out / STANDARD)
+    episodes = equal_episodes(lines)
+    tell(f"{len(episodes)} episodes that all have played")
+    for table in (
+        method_table(episodes),
+        pair_table(episodes, method),
+        cell_table(lines, method),
+    ):
+        tell(f"\n{markdown_table(table)}")
 
 
 def _write(lines: Sequence[dict[str, str]], path: Path) -> None:

@@ -6,7 +6,14 @@ from collections import defaultdict
 import pytest
 from printed_tables import TASKS, lines_of, page, shipped
 
+from smp_planner.benchmark.markdown_table import markdown_table
 from smp_planner.benchmark.summary import rate_interval
+from smp_planner.experiments.standard_summary import (
+    cell_table,
+    equal_episodes,
+    method_table,
+    pair_table,
+)
 
 CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+)")
 
@@ -55,6 +62,21 @@ def test_methods_are_compared_on_equal_episodes(name, equal):
         for task, cell in zip(TASKS, cells, strict=True):
             own = [found[method] for found in equal if found[method]["task"] == task]
             assert cell == counted(own), (method, task)
+
+
+def test_the_command_prints_what_stands_there(rows, equal):
+    episodes = equal_episodes(rows)
+    assert episodes == equal
+    pages = page("README.md"), page("docs/results.md")
+    for line in markdown_table(method_table(episodes)).splitlines()[2:]:
+        name = line.split(" |")[0]
+        assert all(f"{line[len(name) :]}\n" in text for text in pages)
+    for line in markdown_table(pair_table(episodes, "smp")).splitlines()[2:]:
+        assert f"{line}\n" in pages[1]
+    for line in markdown_table(cell_table(rows, "smp")).splitlines()[2:]:
+        assert f"{line}\n" in pages[1]
+    with pytest.raises(ValueError, match=r"in common, \['promp', 'smp'\] have none"):
+        equal_episodes([{**rows[0], "method": "promp", "seed": "1"}, rows[0]])
 
 
 def test_cells_of_smp_are_whole(rows):

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from smp_gym.atomic_files import replacing
+from smp_gym.suites import SUITES
+from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.manifest import read_results
 from smp_planner.experiments.lasa_posterior import VARIANTS
 from smp_planner.experiments.narrow_places import METHODS
@@ -24,15 +26,17 @@ __all__ = [
     "LASA",
     "NARROW_PLACES",
     "SETS",
+    "STANDARD",
     "cage_rows",
     "lasa_rows",
     "narrow_rows",
     "set_rows",
     "ship",
+    "standard_rows",
 ]
 
 LASA, NARROW_PLACES, CAGES = "lasa.csv.gz", "narrow_places.csv.gz", "cages.csv.gz"
-SETS = "frozen_sets.csv.gz"
+SETS, STANDARD = "frozen_sets.csv.gz", "standard.csv.gz"
 """Names of the files."""
 
 _DIGITS = 6
@@ -44,6 +48,12 @@ _CLASSES = ("free", "classes", "entropy")
 _SETS = (
     *("solved", "good", "chosen", "success", "energy", "wasserstein", "frechet", "coverage"),
     *("demonstrations", "classes", "entropy", "length", "jerk", "seconds"),
+)
+
+_CAGE = ("method", "difficulty", "seed", "success", "cause", "share_good")
+_STANDARD = (
+    *("method", "task", "difficulty", "half", "seed"),
+    *("success", "cause", "share_good", "planning_time", "steps"),
 )
 
 Line = dict[str, str]
@@ -181,18 +191,47 @@ def cage_rows(folders: Sequence[Path]) -> list[Line]:
         manifest, rows = read_results(folder)
         if {(cell.task, cell.family) for cell in manifest.cells} != {("Placement", "cage")}:
             raise ValueError(f"{folder} must be a run of cages of Placement alone")
-        for row in sorted(rows, key=lambda row: (row.method, row.seed)):
-            lines.append(
-                {
-                    "method": row.method,
-                    "difficulty": row.difficulty,
-                    "seed": str(row.seed),
-                    "success": str(int(row.success)),
-                    "cause": row.cause,
-                    "share_good": _rounded(row.share_good),
-                }
-            )
+        ordered = sorted(rows, key=lambda row: (row.method, row.seed))
+        lines += [_episode_line(row, _CAGE) for row in ordered]
     return lines
+
+
+def standard_rows(folders: Sequence[Path]) -> list[Line]:
+    """Return a line for each episode of some runs of the frozen lists of the suite standard.
+
+    Args:
+        folders: of results, finished or not; no method may be in two of them.
+
+    Raises:
+        ResultsError: a folder holds no results, or damaged ones.
+        ValueError: a run is of other scenes, or two folders have rows of one method.
+    """
+    lines: list[Line] = []
+    methods: set[str] = set()
+    for folder in folders:
+        manifest, rows = read_results(folder)
+        if not manifest.frozen or not set(manifest.cells) <= set(SUITES["standard"]):
+            raise ValueError(f"{folder} must be a run of the frozen lists of the suite standard")
+        if twice := sorted(methods & set(manifest.methods)):
+            raise ValueError(f"folders must be of different methods, {folder} has {twice}, too")
+        methods |= set(manifest.methods)
+        order = {name: number for number, name in enumerate(manifest.methods)}
+        rows = sorted(rows, key=lambda row: (order[row.method], *_episode(row)))
+        lines += [_episode_line(row, _STANDARD) for row in rows]
+    return lines
+
+
+def _episode(row: EpisodeRow) -> tuple[str, str, str, int]:
+    return row.task, row.difficulty, row.half, row.seed
+
+
+def _episode_line(row: EpisodeRow, columns: Sequence[str]) -> Line:
+    line = {}
+    for name in columns:
+        value = getattr(row, name)
+        number = isinstance(value, float) or value is None
+        line[name] = _rounded(value) if number else str(int(value) if name == "success" else value)
+    return line
 
 
 def set_rows(path: Path) -> list[Line]:

@@ -12,7 +12,13 @@ from smp_gym.suites import Cell
 from smp_planner.benchmark.manifest import EpisodeStore, make_manifest
 from smp_planner.experiments import boxes, comparison, lasa_modulation, lasa_shapes
 from smp_planner.experiments.lasa_posterior import VARIANTS
-from smp_planner.experiments.shipped_rows import cage_rows, lasa_rows, narrow_rows, ship
+from smp_planner.experiments.shipped_rows import (
+    cage_rows,
+    lasa_rows,
+    narrow_rows,
+    ship,
+    standard_rows,
+)
 from smp_planner.experiments.tables import Column, summarise, write_tables
 
 POSTERIOR = (
@@ -122,3 +128,38 @@ def test_episodes_are_of_cages_alone(tmp_path):
     write_folder(tmp_path / "other", ["Placement"], ["smp"], 3)
     with pytest.raises(ValueError, match="other must be a run of cages of Placement alone"):
         cage_rows([*folders, tmp_path / "other"])
+
+
+def test_episodes_are_of_the_frozen_lists_of_standard(tmp_path):
+    cell, folders = Cell("DrawS", "hard"), [tmp_path / "one", tmp_path / "two"]
+    played = {}
+    for folder, methods in zip(folders, (("smp", "cpromp"), ("rrt_connect",)), strict=True):
+        made = make_manifest([cell], methods, 0, 3, frozen=True)
+        with EpisodeStore(folder, made) as store:
+            for key in reversed(made.episode_keys()):
+                row = next(
+                    each
+                    for each in real_rows()
+                    if (each.task, each.method) == ("DrawS", key.method)
+                    and each.seed == FIRST_SEED + key.seed % 3
+                )
+                row = replace(row, seed=key.seed, half=key.half)
+                played[key.method, key.half, str(key.seed)] = row
+                store.append(row)
+    lines = standard_rows(folders)
+    assert list(dict.fromkeys(line["method"] for line in lines)) == [
+        "smp",
+        "cpromp",
+        "rrt_connect",
+    ]
+    assert len(lines) == len(played) == 9
+    for line in lines:
+        row = played[line["method"], line["half"], line["seed"]]
+        assert (line["success"], line["cause"]) == (str(int(row.success)), row.cause)
+        assert (line["steps"], line["difficulty"]) == (str(row.steps), "hard")
+        assert float(line["planning_time"]) == pytest.approx(row.planning_time, rel=1e-5)
+    with pytest.raises(ValueError, match=r"of different methods, .*two has \['rrt_connect'\], too"):
+        standard_rows([*folders, folders[1]])
+    write_folder(tmp_path / "drawn", ["DrawS"], ["smp"], 3)
+    with pytest.raises(ValueError, match="drawn must be a run of the frozen lists of the suite"):
+        standard_rows([tmp_path / "drawn"])
