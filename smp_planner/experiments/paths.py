@@ -9,9 +9,9 @@ import numpy as np
 from smp_gym.arrays import FloatArray, IntArray
 from smp_planner.benchmark import metrics
 from smp_planner.library.shapes import Circle
-from smp_planner.planning.modes import Modes, group, signatures_2d
+from smp_planner.planning.modes import signatures_2d
 
-__all__ = ["classes", "clearances", "diversity", "similarity", "total_variation"]
+__all__ = ["classes", "clearances", "diversity", "similarity"]
 
 _SIMILARITY = ("wasserstein", "frechet", "mmd")
 
@@ -69,23 +69,3 @@ def diversity(paths: FloatArray) -> float:
     if count < 2:
         return 0.0
     return float(metrics.rms_distances(paths, paths).sum() / (count * (count - 1)))
-
-
-def total_variation(signatures: IntArray, reference: IntArray) -> float:
-    """Return half the sum of the differences of the classes' shares in two sets, in [0, 1].
-
-    Args:
-        signatures: (P, M) of `classes`.
-        reference: (R, M).
-    """
-    shares: list[dict[tuple[int, ...], float]] = [
-        _shares(group(signatures)),
-        _shares(group(reference)),
-    ]
-    every = shares[0].keys() | shares[1].keys()
-    return 0.5 * sum(abs(shares[0].get(c, 0.0) - shares[1].get(c, 0.0)) for c in every)
-
-
-def _shares(modes: Modes) -> dict[tuple[int, ...], float]:
-    named = zip(modes.signatures.tolist(), modes.shares.tolist(), strict=True)
-    return {tuple(signature): share for signature, share in named}

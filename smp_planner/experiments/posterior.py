@@ -17,7 +17,8 @@ import torch
 from smp_gym.arrays import FloatArray, IntArray
 from smp_planner.benchmark.metrics import resample, wasserstein
 from smp_planner.experiments.lasa_scenes import LasaScene
-from smp_planner.experiments.paths import clearances, diversity, total_variation
+from smp_planner.experiments.paths import clearances, diversity
+from smp_planner.experiments.set_measures import total_variation
 from smp_planner.experiments.tables import Column
 from smp_planner.inference.smc import SMCSettings, sample_posterior
 from smp_planner.library.shapes import bodies

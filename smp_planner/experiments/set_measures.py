@@ -18,7 +18,7 @@ from smp_planner.benchmark.metrics import (
     wasserstein,
 )
 
-__all__ = ["PosteriorSample", "against_posterior", "class_variation", "of_trajectories"]
+__all__ = ["PosteriorSample", "against_posterior", "of_trajectories", "total_variation"]
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,15 @@ def against_posterior(trajectories: FloatArray, sample: PosteriorSample) -> dict
     }
 
 
-def class_variation(signatures: IntArray, others: IntArray) -> float:
-    """Return the total variation, 0 to 1, between the shares of classes in two sets.
+def total_variation(signatures: IntArray, reference: IntArray) -> float:
+    """Return half the sum of the differences of the classes' shares in two sets, in [0, 1].
 
     Args:
-        signatures: (P, S) of one set, equal within a class; P at least 1.
-        others: (R, S) of the other.
+        signatures: (P, M), equal within a class, P at least 1.
+        reference: (R, M) of the other set.
     """
-    known, labels = np.unique(np.concatenate([signatures, others]), axis=0, return_inverse=True)
+    both = np.concatenate([signatures, reference])
+    known, labels = np.unique(both, axis=0, return_inverse=True)
     first, second = (
         np.bincount(part.ravel(), minlength=len(known)) / len(part)
         for part in np.split(labels, [len(signatures)])

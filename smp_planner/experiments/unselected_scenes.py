@@ -29,8 +29,8 @@ from smp_planner.experiments.environments import environment
 from smp_planner.experiments.set_measures import (
     PosteriorSample,
     against_posterior,
-    class_variation,
     of_trajectories,
+    total_variation,
 )
 from smp_planner.experiments.tables import Column, Row
 from smp_planner.inference.smc import SMCSettings
@@ -313,7 +313,7 @@ def _row(
             row |= against_posterior(paths, sample)
     if classes is not None and sample is not None:
         drawn = signatures(problem, sample.draws)
-        row["variation"] = class_variation(classes, drawn)
+        row["variation"] = total_variation(classes, drawn)
         # The first number of a signature is that of the goal.
-        row["goals"] = class_variation(classes[:, :1], drawn[:, :1])
+        row["goals"] = total_variation(classes[:, :1], drawn[:, :1])
     return row

@@ -10,7 +10,6 @@ from smp_planner.experiments.paths import (
     clearances,
     diversity,
     similarity,
-    total_variation,
 )
 from smp_planner.experiments.posterior import within_spread
 from smp_planner.library.smp import Circle
@@ -66,13 +65,6 @@ def test_diversity_is_the_mean_over_pairs() -> None:
     paths = np.stack([path, path + np.array([3.0, 4.0]), path])
     assert diversity(paths) == pytest.approx((5.0 + 5.0 + 0.0) / 3.0)
     assert diversity(paths[:1]) == 0.0
-
-
-def test_total_variation() -> None:
-    first = np.array([[0], [0], [0], [1]])
-    assert total_variation(first, first[::-1]) == 0.0
-    assert total_variation(first, np.array([[1], [2]])) == pytest.approx(0.75)
-    assert total_variation(first, np.array([[0], [1]])) == pytest.approx(0.25)
 
 
 def test_spread_within_ways_takes_no_notice_of_their_distance() -> None:

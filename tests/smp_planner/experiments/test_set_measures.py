@@ -6,8 +6,8 @@ import pytest
 from smp_planner.experiments.set_measures import (
     PosteriorSample,
     against_posterior,
-    class_variation,
     of_trajectories,
+    total_variation,
 )
 
 
@@ -69,9 +69,11 @@ def test_a_set_is_at_no_distance_from_demonstrations_that_are_it():
 
 def test_shares_of_classes_differ_by_what_changes_its_class():
     one = np.array([[0, 1], [0, 1], [0, 2], [1, 1]])
-    assert class_variation(one, one[::-1]) == 0.0
-    assert class_variation(one, np.array([[5, 5]])) == 1.0
+    assert total_variation(one, one[::-1]) == 0.0
+    assert total_variation(one, np.array([[5, 5]])) == 1.0
     # A quarter of the set is of another class than in the other, whose size does not matter.
     other = np.repeat(np.array([[0, 1], [0, 1], [0, 2], [0, 2]]), 3, axis=0)
-    assert class_variation(one, other) == pytest.approx(0.25)
-    assert class_variation(one[:, :1], other[:, :1]) == pytest.approx(0.25)
+    assert total_variation(one, other) == pytest.approx(0.25)
+    assert total_variation(one[:, :1], other[:, :1]) == pytest.approx(0.25)
+    apart = np.array([[0], [0], [0], [1]])
+    assert total_variation(apart, np.array([[1], [2]])) == pytest.approx(0.75)
