@@ -1,8 +1,8 @@
 """Put rows of experiments among the assets, so that the tables of the documents can be recounted.
 
 lasa takes the tables on handwriting, narrow-places those of public arms in narrow places, cages the
-episodes of Placement in cages, sets the particle sets on frozen scenes, and standard the episodes
-of the suite of that name.
+episodes of Placement in cages, sets the particle sets on frozen scenes, sides those on scenes with
+two goals, and standard the episodes of the suite of that name.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from smp_planner.experiments.shipped_rows import (
     LASA,
     NARROW_PLACES,
     SETS,
+    SIDES,
+    SIDES_MEASURES,
     STANDARD,
     cage_rows,
     lasa_rows,
@@ -104,6 +106,22 @@ def sets(
     for folder, lines in zip(folders, of_folders, strict=True):
         for table in (set_table(lines), ratio_table(lines)):
             tell(f"{folder}:\n\n{markdown_table(table)}\n")
+
+
+@app.command()
+def sides(
+    folder: Annotated[
+        Path, typer.Argument(help="Of scripts/unselected_scenes.py.", file_okay=False)
+    ],
+    out: _Out = _RESULTS,
+) -> None:
+    """Ship the shares of goals in particle sets, and print their means.
+
+    Example: python scripts/ship_rows.py sides results/sides
+    """
+    lines = set_rows(folder / "sets.csv", SIDES_MEASURES)
+    _write(lines, out / SIDES)
+    tell(markdown_table(set_table(lines, [(name, 2) for name in SIDES_MEASURES])))
 
 
 @app.command()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from printed_tables import TASKS, lines_of, page, shipped
 
+from smp_planner.benchmark.statistics import mean_interval
 from smp_planner.experiments.set_summary import ratio_table, ratio_to_floor
 
 MEASURES = {
@@ -99,3 +100,48 @@ def test_the_earlier_sets_say_the_same(sets):
         assert f"{ratio:.2f} ({low:.2f}–{high:.2f})" in whole
     chosen = [float(row["chosen"]) for row in sets[0] if row["method"] == "smp"]
     assert f"successful in {sum(chosen) / 100:.0f} of 100 scenes" in whole
+
+
+@pytest.fixture(scope="module")
+def sides():
+    """Return the rows of scenes with two goals, by method."""
+    found = {}
+    for row in shipped("sides.csv.gz"):
+        found.setdefault(row["method"], []).append(row)
+    return found
+
+
+def test_shares_of_sides_are_those_of_the_rows(sides):
+    lines = {
+        method: cells
+        for method, *cells in lines_of("docs/arm.md", "### Sides in their shares")
+        if method in sides
+    }
+    assert list(lines) == list(sides)
+    for method, cells in lines.items():
+        assert len(sides[method]) == 20
+        columns = (("goals", 2), ("variation", 2), ("wasserstein", 0))
+        for cell, (name, digits) in zip(cells, columns, strict=True):
+            estimate = mean_interval([float(row[name]) for row in sides[method] if row[name]])
+            value, low, high = (f"{estimate[key]:.{digits}f}" for key in ("value", "low", "high"))
+            assert cell == f"{value} ({low}–{high})", (method, name)
+
+
+def test_what_is_said_of_sides_is_counted(sides):
+    text = " ".join(page("docs/arm.md").split())
+    off = {
+        method: [float(row["goals"]) for row in rows if row["goals"]]
+        for method, rows in sides.items()
+    }
+    near = {method: sum(each <= 0.1 for each in values) for method, values in off.items()}
+    assert f"within 0.1 of the posterior's in {near['smp']}, at most {max(off['smp']):.2f}" in text
+    floor = f"({near['noise floor']}, at most {max(off['noise floor']):.2f})"
+    assert f"as many independent draws {floor}" in text
+    far = sum(each > 0.5 for each in off["no repulsion"])
+    assert (near["no repulsion"], far) == (14, 3)
+    assert len(sides["cpromp"]) - len(off["cpromp"]) == 2
+    pairs = [
+        float(one["goals"]) - float(other["goals"])
+        for one, other in zip(sides["no repulsion"], sides["smp"], strict=True)
+    ]
+    assert "{value:.2f} to `smp` ({low:.2f}–{high:.2f})".format(**mean_interval(pairs)) in text

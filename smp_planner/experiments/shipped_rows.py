@@ -26,6 +26,8 @@ __all__ = [
     "LASA",
     "NARROW_PLACES",
     "SETS",
+    "SIDES",
+    "SIDES_MEASURES",
     "STANDARD",
     "cage_rows",
     "lasa_rows",
@@ -36,7 +38,7 @@ __all__ = [
 ]
 
 LASA, NARROW_PLACES, CAGES = "lasa.csv.gz", "narrow_places.csv.gz", "cages.csv.gz"
-SETS, STANDARD = "frozen_sets.csv.gz", "standard.csv.gz"
+SETS, SIDES, STANDARD = "frozen_sets.csv.gz", "sides.csv.gz", "standard.csv.gz"
 """Names of the files."""
 
 _DIGITS = 6
@@ -49,6 +51,8 @@ _SETS = (
     *("solved", "good", "chosen", "success", "energy", "wasserstein", "frechet", "coverage"),
     *("demonstrations", "classes", "entropy", "length", "jerk", "seconds"),
 )
+SIDES_MEASURES = ("good", "goals", "variation", "wasserstein")
+"""Measures that ship of sets with more than one goal."""
 
 _CAGE = ("method", "difficulty", "seed", "success", "cause", "share_good")
 _STANDARD = (
@@ -234,11 +238,12 @@ def _episode_line(row: EpisodeRow, columns: Sequence[str]) -> Line:
     return line
 
 
-def set_rows(path: Path) -> list[Line]:
+def set_rows(path: Path, measures: Sequence[str] = _SETS) -> list[Line]:
     """Return a line for each method in each scene.
 
     Args:
         path: ``sets.csv`` of `scripts/unselected_scenes.py`.
+        measures: columns of it that are kept.
 
     Raises:
         OSError: the file is not there.
@@ -246,12 +251,12 @@ def set_rows(path: Path) -> list[Line]:
     """
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    needed = {"task", "method", "seed", *_SETS}
+    needed = {"task", "method", "seed", *measures}
     if missing := sorted(needed - set(rows[0] if rows else ())):
         raise ValueError(f"{path} must have the columns {', '.join(missing)}")
     return [
         {"task": row["task"], "method": row["method"], "seed": f"{float(row['seed']):.0f}"}
-        | {name: _rounded(row[name]) for name in _SETS}
+        | {name: _rounded(row[name]) for name in measures}
         for row in rows
     ]
 
