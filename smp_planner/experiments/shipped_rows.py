@@ -203,26 +203,32 @@ def cage_rows(folders: Sequence[Path]) -> list[Line]:
 def standard_rows(folders: Sequence[Path]) -> list[Line]:
     """Return a line for each episode of some runs of the frozen lists of the suite standard.
 
+    Of an episode that two runs have played by the same method, the line is that of the first.
+
     Args:
-        folders: of results, finished or not; no method may be in two of them.
+        folders: of results, finished or not.
 
     Raises:
         ResultsError: a folder holds no results, or damaged ones.
-        ValueError: a run is of other scenes, or two folders have rows of one method.
+        ValueError: a run is of other scenes, or two runs have a method in common but not the code.
     """
-    lines: list[Line] = []
-    methods: set[str] = set()
+    found: dict[tuple[str, str, str, str, int], EpisodeRow] = {}
+    codes: dict[str, tuple[str, Path]] = {}
     for folder in folders:
         manifest, rows = read_results(folder)
         if not manifest.frozen or not set(manifest.cells) <= set(SUITES["standard"]):
             raise ValueError(f"{folder} must be a run of the frozen lists of the suite standard")
-        if twice := sorted(methods & set(manifest.methods)):
-            raise ValueError(f"folders must be of different methods, {folder} has {twice}, too")
-        methods |= set(manifest.methods)
-        order = {name: number for number, name in enumerate(manifest.methods)}
-        rows = sorted(rows, key=lambda row: (order[row.method], *_episode(row)))
-        lines += [_episode_line(row, _STANDARD) for row in rows]
-    return lines
+        for method in manifest.methods:
+            code, first = codes.setdefault(method, (manifest.code, folder))
+            if code != manifest.code:
+                raise ValueError(
+                    f"{folder} must be of the code of {first}, which has {method}, too"
+                )
+        for row in rows:
+            found.setdefault((row.method, *_episode(row)), row)
+    order = {method: number for number, method in enumerate(codes)}
+    kept = sorted(found.values(), key=lambda row: (order[row.method], *_episode(row)))
+    return [_episode_line(row, _STANDARD) for row in kept]
 
 
 def _episode(row: EpisodeRow) -> tuple[str, str, str, int]:

@@ -158,8 +158,18 @@ def test_episodes_are_of_the_frozen_lists_of_standard(tmp_path):
         assert (line["success"], line["cause"]) == (str(int(row.success)), row.cause)
         assert (line["steps"], line["difficulty"]) == (str(row.steps), "hard")
         assert float(line["planning_time"]) == pytest.approx(row.planning_time, rel=1e-5)
-    with pytest.raises(ValueError, match=r"of different methods, .*two has \['rrt_connect'\], too"):
-        standard_rows([*folders, folders[1]])
+    # A run of more episodes of one of them adds those that the first has not played.
+    made = make_manifest([cell], ("cpromp",), 0, 4, frozen=True)
+    with EpisodeStore(tmp_path / "more", made) as store:
+        for key in made.episode_keys():
+            known = played.get((key.method, key.half, str(key.seed)), row)
+            store.append(replace(known, method="cpromp", seed=key.seed, half=key.half, steps=1))
+    (added,) = [line for line in standard_rows([*folders, tmp_path / "more"]) if line not in lines]
+    assert (added["method"], added["steps"]) == ("cpromp", "1")
+    with EpisodeStore(tmp_path / "older", replace(made, code="0123456789abcdef")) as store:
+        pass
+    with pytest.raises(ValueError, match=r"older must be of the code of .*one, which has cpromp"):
+        standard_rows([*folders, tmp_path / "older"])
     write_folder(tmp_path / "drawn", ["DrawS"], ["smp"], 3)
     with pytest.raises(ValueError, match="drawn must be a run of the frozen lists of the suite"):
         standard_rows([tmp_path / "drawn"])
