@@ -158,6 +158,8 @@ def _algorithm(data: Mapping[str, Any], path: Path) -> Any:
     """
     entry = data.get("policy_class")
     module = entry.get("__module__", "") if isinstance(entry, Mapping) else ""
+    if module == "smp_planner.agents.normed_critics":
+        module = "stable_baselines3.sac.policies"
     package, _, rest = module.partition(".")
     name = rest.partition(".")[0]
     if name == "common":

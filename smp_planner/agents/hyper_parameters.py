@@ -34,7 +34,7 @@ class GripperOpeningSettings(StrictSettings):
 
 
 class DemonstrationSettings(StrictSettings):
-    """What an agent is shown of a planner's episodes, see `smp_planner.agents.demonstrated_sac`.
+    """Settings of learning from demonstrations, see `smp_planner.agents.demonstrated_sac`.
 
     Attributes:
         episodes: of `smp`, those that fail left out.
@@ -43,17 +43,17 @@ class DemonstrationSettings(StrictSettings):
             what was shown.
         noise: standard deviation of what is added to an action that is cloned, as a share of its
             range.
-        critic_decisions: number of decisions in which the critic alone learns.
-        critic_steps: times the steps of the gradient that it takes in them.
-        actor_rate: learning rate of the actor after them, as a share of the critic's.
-        pull: weight of what was shown in the actor's steps.
+        critic_decisions: number of decisions in which the critics alone learn.
+        critic_steps: times the steps of the gradient that they take in them.
+        actor_rate: learning rate of the actor after them, as a share of the critics'.
+        pull: weight of the squared distance to the actions that were shown, in the actor's loss.
     """
 
     episodes: int = Field(default=100, ge=1)
     share: float = Field(default=0.5, gt=0.0, lt=1.0)
     cloning_steps: int = Field(default=3000, ge=0)
     noise: float = Field(default=0.1, gt=0.0, le=1.0)
-    critic_decisions: int = Field(default=3000, ge=0)
+    critic_decisions: int = Field(default=1000, ge=0)
     critic_steps: int = Field(default=2, ge=1)
     actor_rate: float = Field(default=0.1, gt=0.0, allow_inf_nan=False)
     pull: float = Field(default=100.0, ge=0.0, allow_inf_nan=False)
@@ -75,7 +75,8 @@ class HyperParameters(StrictSettings):
         arguments: of the algorithm; a ``learning_rate`` with ``start`` and ``end`` changes linearly
             over the training.
         her: arguments of `stable_baselines3.HerReplayBuffer`, of SAC; None for none.
-        demonstrations: what is shown to an agent of SAC without hindsight; None for nothing.
+        demonstrations: what is shown to an agent of SAC without hindsight, on the sparse reward and
+            with a fixed ``ent_coef``; None for nothing.
     """
 
     algorithm: Literal["SAC", "PPO"] = "SAC"
@@ -121,6 +122,17 @@ class HyperParameters(StrictSettings):
                     raise ValueError(f"{name} must be null but for SAC, got it for PPO")
         if self.demonstrations is not None and self.her is not None:
             raise ValueError("demonstrations must be null where her is not, got both")
+        if self.demonstrations is not None:
+            if self.reward != "sparse":
+                raise ValueError(
+                    "reward must be sparse with demonstrations, whose critics know its bounds; got "
+                    f"{self.reward}"
+                )
+            entropy = self.arguments.get("ent_coef", "auto")
+            if isinstance(entropy, bool) or not isinstance(entropy, int | float) or entropy < 0.0:
+                raise ValueError(
+                    f"ent_coef must be a number from 0 on with demonstrations, got {entropy!r}"
+                )
         needed = self.environments * -(-MAX_EPISODE_STEPS // self.action_repeat)
         starts = self.arguments.get("learning_starts", 0)
         if self.her is not None and starts < needed:

@@ -19,6 +19,7 @@ from smp_planner.agents.demonstrated_sac import DemonstratedSAC
 from smp_planner.agents.exploration import GripperOpenings
 from smp_planner.agents.goal_features import GoalFeatures
 from smp_planner.agents.hyper_parameters import HyperParameters
+from smp_planner.agents.normed_critics import NormedCriticsPolicy
 from smp_planner.agents.shown_decisions import ShownReplayBuffer
 
 __all__ = ["class_of", "make_model"]
@@ -67,10 +68,9 @@ def make_model(env: VecEnv, task: str, settings: HyperParameters, seed: int) -> 
         arguments["replay_buffer_kwargs"] = {"share": settings.demonstrations.share}
         arguments["demonstrations"] = settings.demonstrations
     algorithm: Any = class_of(settings)
+    policies = "MultiInputPolicy" if settings.demonstrations is None else NormedCriticsPolicy
     try:
-        model: BaseAlgorithm = algorithm(
-            "MultiInputPolicy", env, seed=seed, device="cpu", **arguments
-        )
+        model: BaseAlgorithm = algorithm(policies, env, seed=seed, device="cpu", **arguments)
     except TypeError as error:
         raise ValueError(f"the hyper-parameters do not fit: {error}") from None
     # What stable-baselines3 saves of an agent are its attributes.

@@ -75,6 +75,8 @@ def actor_of(folder: Path) -> tuple[Actor, ActorCard]:
         raise ValueError(f"{folder} must hold a finished training: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{folder} holds a training of an older version: no {error}") from None
+    if isinstance(layers, dict):
+        layers = layers["pi"]
     if algorithm != "SAC":
         raise ValueError(
             f"{folder} must hold an agent of SAC to be shipped, got {algorithm}; its final.zip is "

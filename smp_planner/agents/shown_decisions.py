@@ -1,4 +1,4 @@
-"""What a learning agent is shown: a planner's episodes as decisions, in a part of every batch.
+"""A planner's episodes as decisions, and a replay buffer that draws on them in every batch.
 
 The half of each batch that is drawn from demonstrations is that of Ball et al. 2023, "Efficient
 Online Reinforcement Learning with Offline Data". A planner's policy acts in every step of the

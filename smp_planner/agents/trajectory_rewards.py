@@ -1,4 +1,4 @@
-"""What a trajectory is worth in the training of `mp_rl`: by the planners' check, or the physics.
+"""Rewards of trajectories in the training of `mp_rl`: by the planners' check, or the physics.
 
 Both say of trajectories in a scene how good each is, and whether it has succeeded. `CheckedRewards`
 are those of the exact distances, at every fifth sample of a trajectory and with 3 mm for what lies

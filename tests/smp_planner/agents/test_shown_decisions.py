@@ -8,9 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import SAC
 from stable_baselines3.common.env_util import make_vec_env
 
-from smp_gym.env import SUCCESS_REWARD
+from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
 from smp_gym.registration import environment_id
 from smp_gym.sampling import sample_scene
 from smp_planner.agents.acting import load_zip
@@ -25,13 +26,14 @@ from smp_planner.agents.training import Training
 REPEAT = 5
 SETTINGS = HyperParameters(
     arguments={
-        "learning_starts": 100,
+        "learning_starts": 40,
         "batch_size": 40,
         "buffer_size": 400,
-        "policy_kwargs": {"net_arch": [64, 64]},
+        "ent_coef": 0.001,
+        "policy_kwargs": {"net_arch": [64, 64], "n_critics": 3},
     },
     demonstrations=DemonstrationSettings(
-        episodes=3, share=0.25, cloning_steps=600, critic_decisions=120
+        episodes=3, share=0.25, cloning_steps=600, critic_decisions=80
     ),
 )
 
@@ -108,14 +110,77 @@ def test_the_critic_learns_before_the_actor_does(model):
         )
 
     actor, critic = weights()
-    entropy = float(model.log_ent_coef.detach())
-    model.learn(119)
+    model.learn(79)
     assert torch.equal(weights()[0], actor)
-    assert float(model.log_ent_coef.detach()) == entropy
     assert not torch.equal(weights()[1], critic)
     model.learn(20, reset_num_timesteps=False)
     assert not torch.equal(weights()[0], actor)
-    assert float(model.log_ent_coef.detach()) != entropy
+
+
+def test_values_of_what_nobody_has_tried_are_bounded(model, episodes):
+    """A normalised layer of N has at most the norm sqrt(N), whatever comes before it."""
+    model.learn(79)
+    seen = {
+        key: torch.as_tensor(value)[None].expand(1000, -1)
+        for key, value in episodes[0][0].before.items()
+    }
+    actions = 1e4 * torch.randn((1000, 7), generator=torch.Generator().manual_seed(0))
+    networks = model.critic.q_networks
+    assert len(networks) == 3
+    with torch.no_grad():
+        for network, value in zip(networks, model.critic(seen, actions), strict=True):
+            normed, last = network[4], network[-1]
+            largest = normed.weight.abs().max() * 64**0.5 + normed.bias.norm()
+            assert value.abs().max() <= last.bias.abs() + last.weight.norm() * largest
+    plain = SAC("MultiInputPolicy", model.get_env(), policy_kwargs={"net_arch": [64, 64]}, seed=0)
+    assert plain.critic(seen, actions)[0].abs().max() > 100.0
+
+
+def test_targets_are_returns_that_there_can_be(model):
+    model.learn(79)
+    batch = model.replay_buffer.sample(400)
+    over, rewards = 1.0 - batch.dones, batch.rewards
+    assert set(rewards.flatten().tolist()) >= {0.0, SUCCESS_REWARD}
+    for bias, bound in ((1e6, SUCCESS_REWARD), (-1e6, FAILURE_REWARD)):
+        for network in model.critic_target.q_networks:
+            torch.nn.init.constant_(network[-1].bias, bias)
+        torch.testing.assert_close(model.targets(batch), rewards + 0.99 * bound * over)
+
+
+def test_a_target_is_the_lesser_of_a_random_pair(model):
+    model.learn(79)
+    batch = model.replay_buffer.sample(10)
+    for value, network in enumerate(model.critic_target.q_networks):
+        torch.nn.init.zeros_(network[-1].weight)
+        torch.nn.init.constant_(network[-1].bias, float(value))
+    going_on = batch.dones[:, 0] == 0.0
+    found = {
+        round(float(((model.targets(batch) - batch.rewards)[going_on] / 0.99).mean()), 4)
+        for _ in range(40)
+    }
+    assert found == {0.0, 1.0}
+
+
+def test_an_interrupted_training_is_equal_to_one_at_once(tmp_path):
+    """Over the moment in which the actor begins to learn."""
+    shown = DemonstrationSettings(episodes=1, cloning_steps=10, critic_decisions=50)
+    settings = SETTINGS.model_copy(update={"demonstrations": shown})
+    models = []
+    for folder, parts in (("parts", (240, 300)), ("at_once", (300,))):
+        for steps in parts:
+            training = Training(
+                tmp_path / folder, agent="sac_demonstrations", task="Placement",
+                difficulty="none", seed=0, settings=settings,
+            )  # fmt: skip
+            training.run(steps, every=1000, episodes=1, progress=lambda done, rate: None)
+            training.close()
+        models.append(training.model)
+    for part in ("policy", "actor.optimizer", "critic.optimizer"):
+        one, other = (model.get_parameters()[part] for model in models)
+        torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
+    own, theirs = (vars(model)["replay_buffer"] for model in models)
+    np.testing.assert_array_equal(own.actions, theirs.actions)
+    assert own.pos == 60
 
 
 def test_what_was_shown_is_in_the_checkpoint(model, episodes, tmp_path):

@@ -337,6 +337,11 @@ def test_bad_arguments_are_named(tmp_path: Path, arguments: tuple[str, ...], nam
         ),
         ({**TINY, "demonstrations": {}}, "demonstrations must be null where her is not"),
         ({**TINY, "her": None, "demonstrations": {"share": 1.0}}, "demonstrations.share"),
+        ({**TINY, "her": None, "demonstrations": {}}, "ent_coef must be a number.*got 'auto'"),
+        (
+            {**TINY, "her": None, "demonstrations": {}, "reward": "dense"},
+            "reward must be sparse with demonstrations",
+        ),
         ({**TINY, "algorithm": "PPO"}, "gripper_openings must be null but for SAC"),
     ],
 )
