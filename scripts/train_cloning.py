@@ -30,7 +30,7 @@ def main(
     task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = "Placement",
     difficulty: Annotated[
         str, typer.Option(help="Of the scenes; of several, separated by commas, in turn.")
-    ] = "none,easy,medium",
+    ] = "none,easy",
     agent: Annotated[
         str,
         typer.Option(

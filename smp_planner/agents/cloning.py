@@ -2,7 +2,9 @@
 
 ``cloning`` sees undisturbed episodes alone. ``distilled`` sees recovery data as well: bursts of
 random rates push the arm off its trajectory, and what is learned is what the planner's policy does
-to come back (DART: Laskey et al. 2017). Episodes that fail teach nothing and are left out.
+to come back (DART: Laskey et al. 2017). Episodes that fail teach nothing and are left out. What is
+learned as a decision, see `smp_planner.agents.watched_episodes`: one begins at each step of an
+episode, and those are left out in which a burst pushes.
 
 The folder that a training writes holds
 
@@ -33,8 +35,7 @@ import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.atomic_files import replacing
 from smp_gym.observation import observation_space
 from smp_gym.registration import environment_id
-from smp_gym.rollout import Moment, Policy, rollout
-from smp_gym.sampling import sample_scene
+from smp_gym.rollout import Policy
 from smp_planner.agents.actor_file import Actor, ActorCard, write_actor
 from smp_planner.agents.training_folder import (
     claimed,
@@ -42,6 +43,7 @@ from smp_planner.agents.training_folder import (
     read_checkpoint,
     write_checkpoint,
 )
+from smp_planner.agents.watched_episodes import decision_actions, watched
 from smp_planner.benchmark.results_folder import write_table
 from smp_planner.policy.planner_policy import PlannerPolicy
 from smp_planner.strict_settings import StrictSettings
@@ -68,17 +70,19 @@ class CloningSettings(StrictSettings):
     """Settings of a training.
 
     Attributes:
+        action_repeat: control steps that a decision lasts.
         episodes: scenes in which the planner's policy is watched.
         bursts: share of control steps at which a burst of random rates begins.
         burst_steps: control steps that one lasts.
         burst_rate: largest random rate of a joint, as a share of the action's range.
         layers: widths of the hidden layers.
         epochs: passes over all that is learned from.
-        batch: control steps in a step of the gradient.
+        batch: decisions in a step of the gradient.
         learning_rate: of Adam in the beginning; it falls to zero along half a cosine.
         apart: share of the episodes, the last ones, that are not learned from.
     """
 
+    action_repeat: int = Field(default=1, ge=1)
     episodes: int = Field(default=600, ge=2)
     bursts: float = Field(default=0.0, ge=0.0, lt=1.0)
     burst_steps: int = Field(default=4, ge=1)
@@ -110,12 +114,14 @@ class DisturbedPolicy:
 
     Attributes:
         labels: actions (7,) of the policy, one for each step.
+        disturbed: whether random rates took their place, for each step.
     """
 
     def __init__(self, policy: Policy, settings: CloningSettings, rng: np.random.Generator) -> None:
         self._policy, self._settings, self._rng = policy, settings, rng
         self._left, self._rates = 0, np.zeros(_ARM, np.float32)
         self.labels: list[NDArray[np.float32]] = []
+        self.disturbed: list[bool] = []
 
     def predict(
         self,
@@ -132,6 +138,7 @@ class DisturbedPolicy:
             self._left = settings.burst_steps
             most = settings.burst_rate
             self._rates = self._rng.uniform(-most, most, _ARM).astype(np.float32)
+        self.disturbed.append(self._left > 0)
         if self._left:
             self._left -= 1
             action = np.array(action, np.float32)
@@ -146,14 +153,30 @@ class Episode:
     Attributes:
         observations: (steps, F) by entry.
         actions: (steps, 7).
+        disturbed: (steps,) bool, whether random rates took its place.
     """
 
     observations: dict[str, NDArray[np.float32]]
     actions: NDArray[np.float32]
+    disturbed: NDArray[np.bool_]
+
+    def decisions(self, repeat: int) -> Episode:
+        """Return the undisturbed decisions, one beginning at each step, as steps of an episode.
+
+        Args:
+            repeat: control steps that a decision lasts.
+        """
+        pushed = [self.disturbed[at : at + repeat].any() for at in range(len(self.disturbed))]
+        rows = np.flatnonzero(np.logical_not(pushed))
+        return Episode(
+            {key: seen[rows] for key, seen in self.observations.items()},
+            decision_actions(self.actions, repeat)[rows],
+            self.disturbed[rows],
+        )
 
 
 class _Steps(NamedTuple):
-    """Observations (N, F) of control steps by entry, and actions (N, 7)."""
+    """Observations (N, F) before decisions by entry, and actions (N, 7)."""
 
     observations: dict[str, Tensor]
     actions: Tensor
@@ -176,13 +199,12 @@ def demonstrated(
         settings: of the bursts.
     """
     disturbed = DisturbedPolicy(policy, settings, np.random.default_rng([seed, 7]))
-    moments: list[Moment] = []
-    scene = sample_scene(policy.task, difficulty, seed)
-    if not rollout(env, disturbed, scene=scene, recorders=[moments.append]).success:
+    moments = watched(env, disturbed, policy.task, difficulty, seed)
+    if moments is None:
         return None
     before = [moment.observation for moment in moments[:-1]]
     observations = {key: np.stack([seen[key] for seen in before]) for key in before[0]}
-    return Episode(observations, np.stack(disturbed.labels))
+    return Episode(observations, np.stack(disturbed.labels), np.array(disturbed.disturbed))
 
 
 class Cloning:
@@ -333,6 +355,7 @@ class Cloning:
                 f"{self._folder} holds {len(found)} episodes with success, too few to learn from "
                 f"some and to keep {self._settings.apart:.0%} apart"
             )
+        found = [episode.decisions(self._settings.action_repeat) for episode in found]
         return _joined(found[:-last]), _joined(found[-last:])
 
     def _card(self) -> ActorCard:
@@ -346,7 +369,7 @@ class Cloning:
             task=self._task,
             entries=sorted(observation_space(self._task)),
             hidden=(),
-            action_repeat=1,
+            action_repeat=self._settings.action_repeat,
             layers=list(self._settings.layers),
             training={**self._description, **spent},
             scores={},
@@ -391,7 +414,8 @@ def _write_episodes(path: Path, episodes: Sequence[Episode], played: int, second
     arrays: dict[str, Any] = {"played": np.array(played), "seconds": np.array(seconds)}
     arrays["steps"] = np.array([len(each.actions) for each in episodes], np.int64)
     if episodes:
-        arrays["actions"] = np.concatenate([each.actions for each in episodes])
+        for name in ("actions", "disturbed"):
+            arrays[name] = np.concatenate([getattr(each, name) for each in episodes])
         for key in episodes[0].observations:
             parts = [each.observations[key] for each in episodes]
             arrays[f"observation:{key}"] = np.concatenate(parts)
@@ -407,11 +431,11 @@ def _read_episodes(path: Path) -> tuple[list[Episode], int, float]:
         if not len(steps):
             return [], played, seconds
         cuts = np.cumsum(steps)[:-1]
-        actions = np.split(arrays["actions"], cuts)
+        actions, disturbed = (np.split(arrays[name], cuts) for name in ("actions", "disturbed"))
         names = [name for name in arrays.files if name.startswith("observation:")]
         parts = {name.partition(":")[2]: np.split(arrays[name], cuts) for name in names}
     episodes = [
-        Episode({key: part[index] for key, part in parts.items()}, each)
-        for index, each in enumerate(actions)
+        Episode({key: part[index] for key, part in parts.items()}, actions[index], disturbed[index])
+        for index in range(len(steps))
     ]
     return episodes, played, seconds

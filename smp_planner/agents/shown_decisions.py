@@ -1,9 +1,8 @@
 """A planner's episodes as decisions, and a replay buffer that draws on them in every batch.
 
 The half of each batch that is drawn from demonstrations is that of Ball et al. 2023, "Efficient
-Online Reinforcement Learning with Offline Data". A planner's policy acts in every step of the
-control; an agent's decision lasts several. What is shown as a decision is the mean of the actions
-in its steps: they are rates, so it comes to the same joint angles.
+Online Reinforcement Learning with Offline Data". What is shown as a decision says
+`smp_planner.agents.watched_episodes`.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
 
-from smp_gym.rollout import Moment, rollout
-from smp_gym.sampling import sample_scene
+from smp_gym.rollout import Moment
+from smp_planner.agents.watched_episodes import decision_actions, watched
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = ["Decision", "ShownReplayBuffer", "shown_episodes"]
@@ -70,22 +69,19 @@ def shown_episodes(
     """
     policy = PlannerPolicy.make("smp", task)
     for number in count(FIRST_SEED + _SEEDS * seed):
-        moments: list[Moment] = []
-        scene = sample_scene(task, difficulty, number)
-        if rollout(env, policy, scene=scene, recorders=[moments.append]).success:
+        moments = watched(env, policy, task, difficulty, number)
+        if moments is not None:
             yield _decisions(moments, repeat)
 
 
 def _decisions(moments: Sequence[Moment], repeat: int) -> list[Decision]:
+    actions = decision_actions(np.stack([moment.action for moment in moments[1:]]), repeat)
     found = []
-    for first in range(0, len(moments) - 1, repeat):
+    for first in range(0, len(actions), repeat):
         steps = moments[first + 1 : first + 1 + repeat]
-        action = np.stack([step.action for step in steps]).mean(axis=0).astype(np.float32)
         reward = sum(step.reward for step in steps)
-        last = steps[-1]
-        found.append(
-            Decision(moments[first].observation, last.observation, action, reward, last.terminated)
-        )
+        before, last = moments[first].observation, steps[-1]
+        found.append(Decision(before, last.observation, actions[first], reward, last.terminated))
     return found
 
 

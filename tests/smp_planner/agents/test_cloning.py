@@ -18,11 +18,12 @@ from smp_planner.agents.cloning import (
     Cloning,
     CloningSettings,
     DisturbedPolicy,
+    Episode,
     demonstrated,
 )
 from smp_planner.policy.planner_policy import PlannerPolicy
 
-FEW = CloningSettings(episodes=4, epochs=3, layers=(16,), apart=0.25, batch=64)
+FEW = CloningSettings(action_repeat=2, episodes=4, epochs=3, layers=(16,), apart=0.25, batch=64)
 
 
 def _training(folder, settings=FEW, **changed):
@@ -80,6 +81,46 @@ def test_labels_lead_back_to_the_trajectory(env, placement_policy):
     assert np.abs(episode.actions).max() <= 1.0
 
 
+def test_decisions_are_means_of_steps_in_which_nothing_pushes():
+    """A ramp is its own mean in the middle of a decision, and at the end over what is left."""
+    ramp = np.repeat(np.arange(8, dtype=np.float32)[:, None], 7, axis=1)
+    disturbed = np.isin(np.arange(8), [3])
+    found = Episode({"observation": ramp[:, :1]}, ramp, disturbed).decisions(3)
+    np.testing.assert_array_equal(found.observations["observation"][:, 0], [0, 4, 5, 6, 7])
+    np.testing.assert_allclose(found.actions, np.outer([1.0, 5.0, 6.0, 6.5, 7.0], np.ones(7)))
+
+
+def test_rates_that_are_held_for_a_decision_succeed(env, placement_policy):
+    """Arm and hand end where the planner leads them, in the physics."""
+    repeat = 5
+    scene = sample_scene("Placement", "none", 79_006)
+    episode = demonstrated(env, placement_policy, "none", 79_006, CloningSettings())
+    assert episode is not None
+    actions = episode.decisions(repeat).actions
+
+    class Held:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            step = state or 0
+            return actions[min(step, len(actions) - 1) // repeat * repeat], step + 1
+
+    assert rollout(env, Held(), scene=scene).success
+
+
+def test_random_rates_are_told_from_the_policys(env, placement_policy):
+    """What the environment was given differs from the labels in the steps of bursts alone."""
+    settings = CloningSettings(bursts=0.05, burst_steps=3)
+    policy = DisturbedPolicy(placement_policy, settings, np.random.default_rng(3))
+    done = []
+    scene = sample_scene("Placement", "none", 79_006)
+    rollout(env, policy, scene=scene, steps=60, recorders=[done.append])
+    differ = [
+        not np.array_equal(moment.action, label)
+        for moment, label in zip(done[1:], policy.labels, strict=True)
+    ]
+    assert any(differ)
+    assert differ == policy.disturbed
+
+
 def test_a_training_goes_on_where_it_stopped(tmp_path):
     whole = _training(tmp_path / "whole")
     whole.watch()
@@ -109,6 +150,7 @@ def test_a_training_goes_on_where_it_stopped(tmp_path):
         assert torch.equal(value, again.actor.state_dict()[name])
     actor, card = read_actor(tmp_path / "whole" / "agent.json")
     assert card.agent == "cloning"
+    assert (card.action_repeat, actor.action_repeat) == (2, 2)
     assert card.training["settings"] == json.loads(FEW.model_dump_json())
     assert card.training["cpu_seconds"] > 0.0
     assert sum(p.numel() for p in actor.parameters()) == sum(
@@ -140,7 +182,15 @@ def test_folders_of_others_and_too_few_episodes_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"bursts": 1.0}, {"episodes": 1}, {"apart": 0.0}, {"learning_rate": float("nan")}]
+    "change",
+    [
+        {"action_repeat": 0},
+        {"action_repeat": 2.5},
+        {"bursts": 1.0},
+        {"episodes": 1},
+        {"apart": 0.0},
+        {"learning_rate": float("nan")},
+    ],
 )
 def test_settings_out_of_range_are_refused(change):
     with pytest.raises(ValueError, match=next(iter(change))):
