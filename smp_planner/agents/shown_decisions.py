@@ -1,7 +1,7 @@
 """A planner's episodes as decisions, and a replay buffer that draws on them in every batch.
 
 The half of each batch that is drawn from demonstrations is that of Ball et al. 2023, "Efficient
-Online Reinforcement Learning with Offline Data". What is shown as a decision says
+Online Reinforcement Learning with Offline Data". Decisions are those of
 `smp_planner.agents.watched_episodes`.
 """
 
