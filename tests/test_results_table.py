@@ -56,7 +56,7 @@ def counted(chosen):
 @pytest.mark.parametrize("name", ["README.md", "docs/results.md"])
 def test_methods_are_compared_on_equal_episodes(name, equal):
     table = printed(name, "| success · good | " + " | ".join(TASKS) + " |\n")
-    assert len(equal) == 243
+    assert len(equal) == 444
     assert set(table) == set(equal[0])
     for method, cells in table.items():
         for task, cell in zip(TASKS, cells, strict=True):
@@ -94,7 +94,7 @@ def test_cells_of_smp_are_whole(rows):
 
 
 @pytest.mark.parametrize(
-    "rival", ["cpromp", "rrt_connect", "prompt_o", "promp_diff", "mp_rl", "detour", "promp"]
+    "rival", ["cpromp", "rrt_connect", "promp_diff", "mp_rl", "detour", "promp"]
 )
 def test_pairs_are_counted(rival, equal):
     lines = page("docs/results.md").splitlines()
@@ -107,6 +107,33 @@ def test_pairs_are_counted(rival, equal):
             if task in (found["smp"]["task"], None)
         ]
         assert pair == (own.count((1, 0)), own.count((0, 1)))
+
+
+def test_what_is_said_of_older_code_is_counted(rows):
+    outcomes = {"old": {}, "new": {}}
+    for name, table in (("old", shipped("standard_5a6c30d.csv.gz")), ("new", rows)):
+        for row in table:
+            episode = row["task"], row["difficulty"], row["half"], row["seed"]
+            outcomes[name][(row["method"], *episode)] = int(row["success"])
+    text = " ".join(page("docs/results.md").split())
+    old, new = (
+        {key[1:]: won for key, won in outcomes[name].items() if key[0] == "smp"}
+        for name in ("old", "new")
+    )
+    assert set(old) == set(new)
+    assert f"at commit 5a6c30d, `smp` succeeded in {sum(old.values())}" in text
+    pairs = [(old[key], new[key]) for key in old]
+    alone = f"{pairs.count((1, 0))} episodes were solved then alone, {pairs.count((0, 1))} now"
+    assert alone in text
+    assert f"That is {sum(new.values())} of 1200" in text
+    its = {key: won for key, won in outcomes["old"].items() if key[0] == "prompt_o"}
+    assert f"Of these {len(its)} episodes it solves none" in text
+    pairs = [(old[key[1:]], won) for key, won in its.items()]
+    assert (pairs.count((1, 0)), pairs.count((0, 1))) == (66, 0)
+    for task, percent in zip(TASKS, (84, 88, 40, 70), strict=True):
+        won = [value for key, value in its.items() if key[1] == task]
+        assert round(100 * sum(won) / len(won)) == percent
+        assert f"{percent} % on {task}" in text
 
 
 SPEEDS = {"easy": "5 cm/s", "medium": "10 cm/s", "hard": "20 cm/s"}
