@@ -149,9 +149,9 @@ def test_differences_over_all_shapes_are_paired(rows):
 # one rounds otherwise by 1e-6 mm, measures of a set move by some 1e-5 of what they are; but single
 # paths, each one in 42, may then be drawn or moved otherwise.
 TOLERANCES = {
-    "wasserstein": {"rel": 0.03},
-    "frechet": {"rel": 0.03},
-    "length": {"rel": 0.03},
+    "wasserstein": {"rel": 0.06},
+    "frechet": {"rel": 0.06},
+    "length": {"rel": 0.06},
     "worst_end_error": {"rel": 0.5, "abs": 1e-6},
     "entropy": {"abs": 0.2},
     "classes": {"abs": 1.0},
