@@ -134,6 +134,18 @@ def test_what_is_said_of_older_code_is_counted(rows):
         won = [value for key, value in its.items() if key[1] == task]
         assert round(100 * sum(won) / len(won)) == percent
         assert f"{percent} % on {task}" in text
+    told = {"cpromp": "0 : 2", "promp_diff": "10 : 2", "mp_rl": "1 : 13"}
+    for method in ("cpromp", "promp_diff", "mp_rl", "rrt_connect", "detour", "promp"):
+        pairs = [
+            (won, outcomes["new"][key])
+            for key, won in outcomes["old"].items()
+            if key[0] == method and key in outcomes["new"]
+        ]
+        alone = f"{pairs.count((1, 0))} : {pairs.count((0, 1))}"
+        assert alone == told.get(method, "0 : 0")
+    assert (
+        "are of `cpromp` {cpromp}, of `promp_diff` {promp_diff}, of `mp_rl`".format(**told) in text
+    )
 
 
 SPEEDS = {"easy": "5 cm/s", "medium": "10 cm/s", "hard": "20 cm/s"}

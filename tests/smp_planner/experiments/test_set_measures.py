@@ -76,4 +76,6 @@ def test_shares_of_classes_differ_by_what_changes_its_class():
     assert total_variation(one, other) == pytest.approx(0.25)
     assert total_variation(one[:, :1], other[:, :1]) == pytest.approx(0.25)
     apart = np.array([[0], [0], [0], [1]])
+    assert total_variation(apart, apart[::-1]) == 0.0
     assert total_variation(apart, np.array([[1], [2]])) == pytest.approx(0.75)
+    assert total_variation(apart, np.array([[0], [1]])) == pytest.approx(0.25)
