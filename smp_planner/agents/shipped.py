@@ -6,6 +6,7 @@ __all__ = ["TRAINED_BY"]
 
 TRAINED_BY = {
     "sac_her": "train_agent.py",
+    "sac_demonstrations": "train_agent.py --agent sac_demonstrations",
     "cloning": "train_cloning.py --agent cloning",
     "distilled": "train_cloning.py",
 }

@@ -161,14 +161,15 @@ def test_an_agent_makes_no_plans_anew():
         make_manifest([NONE], ["random"], 0, 1, replan_every=5)
 
 
-def test_the_shipped_agent_places_and_says_where_it_cannot():
+@pytest.mark.parametrize("agent", ["sac_her", "sac_demonstrations"])
+def test_a_shipped_agent_places_and_says_where_it_cannot(agent):
     """On tuning seeds that it was neither trained nor chosen on."""
-    method = resolve_method("sac_her")
+    method = resolve_method(agent)
     assert not method.plans
     policy = method.policy("Placement")
     with gym.make("smp_gym/Placement-v0", difficulty="none") as env:
         assert [rollout(env, policy, seed=seed).success for seed in range(74300, 74304)] == [
             True
         ] * 4
-    with pytest.raises(ValueError, match=r"no agent sac_her is shipped for DrawS .*train_agent"):
+    with pytest.raises(ValueError, match=rf"no agent {agent} is shipped for DrawS .*train_agent"):
         method.policy("DrawS")

@@ -15,11 +15,13 @@ from smp_gym.env import FAILURE_REWARD, SUCCESS_REWARD
 from smp_gym.registration import environment_id
 from smp_gym.sampling import sample_scene
 from smp_planner.agents.acting import load_zip
+from smp_planner.agents.actor_file import read_actor
 from smp_planner.agents.checkpoints import load_checkpoint, save_checkpoint
 from smp_planner.agents.decisions import ActionRepeat
 from smp_planner.agents.evaluations import read_evaluations
 from smp_planner.agents.hyper_parameters import DemonstrationSettings, HyperParameters
 from smp_planner.agents.learners import class_of, make_model
+from smp_planner.agents.shipping import ship_agent
 from smp_planner.agents.shown_decisions import FIRST_SEED, shown_episodes
 from smp_planner.agents.training import Training
 
@@ -30,7 +32,7 @@ SETTINGS = HyperParameters(
         "batch_size": 40,
         "buffer_size": 400,
         "ent_coef": 0.001,
-        "policy_kwargs": {"net_arch": [64, 64], "n_critics": 3},
+        "policy_kwargs": {"net_arch": {"pi": [64, 48], "qf": [64, 64]}, "n_critics": 3},
     },
     demonstrations=DemonstrationSettings(
         episodes=3, share=0.25, cloning_steps=600, critic_decisions=80
@@ -220,3 +222,22 @@ def test_a_training_is_shown_episodes_once_and_measured_before_it_learns(tmp_pat
     assert shown == [(1, 3), (2, 3), (3, 3)]
     evaluations = read_evaluations(tmp_path / "shown" / "evaluations.csv")
     assert [each.steps for each in evaluations] == [0, 300, 600]
+
+
+def test_a_shipped_actor_of_layers_of_its_own_acts_as_the_agent_did(episodes, tmp_path):
+    training = Training(
+        tmp_path,
+        agent="sac_demonstrations",
+        task="Placement",
+        difficulty="none",
+        seed=0,
+        settings=SETTINGS,
+    )
+    training.model.save(tmp_path / "final.zip")
+    training.close()
+    actor, card = read_actor(ship_agent(tmp_path, folder=tmp_path))
+    assert card.layers == [64, 48]
+    for decision in episodes[0]:
+        seen = {key: decision.before[key] for key in training.model.observation_space}
+        theirs, _ = training.model.predict(seen, deterministic=True)
+        np.testing.assert_allclose(actor.predict(decision.before)[0], theirs, atol=2e-3)
