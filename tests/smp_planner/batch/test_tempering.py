@@ -108,8 +108,8 @@ def test_the_same_seed_gives_the_same_particles_and_another_one_others(prior):
 
 
 def test_plans_are_as_good_as_without_a_device(problems):
-    settings = {"map": "exact", "particles": 8, "iterations": 10, "retries": 0}
-    settings |= {"samples": 100, "planning_steps": 30, "inference": "tempered"}
+    settings = {"map": "exact", "particles": 8, "iterations": 5, "retries": 0}
+    settings |= {"samples": 100, "planning_steps": 16, "inference": "tempered"}
     planner = make_planner("smp", "Placement", settings=settings)
     mine, other = planner.plan(problems, "cpu"), planner.plan(problems)
     assert [len(plan.trajectories) for plan in mine] == [8, 8]

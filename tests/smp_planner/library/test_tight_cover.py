@@ -14,10 +14,10 @@ SOLIDS = [
     ("box", (0.1, 0.1, 0.1)),
     ("box", (0.4, 0.06, 0.2)),
     ("box", (0.01, 0.01, 0.01)),
-    ("box", (0.3, 0.2, 0.002)),
+    ("box", (0.15, 0.1, 0.002)),
     ("cylinder", (0.4, 0.05)),
     ("cylinder", (0.01, 0.1)),
-    ("cylinder", (0.3, 0.004)),
+    ("cylinder", (0.2, 0.004)),
     ("sphere", (0.07,)),
 ]
 
@@ -39,7 +39,7 @@ def drawn_inside(kind, size, rng):
         "cylinder": lambda: np.array([size[1], size[1], size[0] / 2]),
         "sphere": lambda: np.full(3, size[0]),
     }[kind]()
-    points = rng.uniform(-half, half, (60_000, 3))
+    points = rng.uniform(-half, half, (20_000, 3))
     points = points[outside(kind, size, points) == 0.0]
     scale = {
         "box": np.abs(points / half).max(axis=1),
@@ -49,7 +49,7 @@ def drawn_inside(kind, size, rng):
     return np.concatenate([points, points / scale[:, None]])
 
 
-def on_spheres(spheres, rng, count=3000):
+def on_spheres(spheres, rng, count=1000):
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return (spheres[:, None, :3] + directions * spheres[:, None, 3:]).reshape(-1, 3)

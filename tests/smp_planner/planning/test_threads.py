@@ -123,11 +123,12 @@ def test_a_plan_is_the_same_on_any_number_of_threads(torch_threads):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_planner_plans_the_same_on_any_number_of_threads(task, torch_threads, monkeypatch):
-    """What it learns included; also on more threads than there are cores."""
+    """What it learns included; the slowest planner, which is a `cpromp`, for one task alone."""
     (problem,) = posed([sample_scene(task, "easy", 2)])
-    names = [name for name in planners_of(task) if name != "rrt_connect"]
+    slow = {"cpromp_chance"} if task != "Placement" else set()
+    names = [name for name in planners_of(task) if name not in {"rrt_connect", *slow}]
     plans = []
-    for threads in (1, 2, 4):
+    for threads in (1, 3):
         torch_threads(threads)
         monkeypatch.setattr(pipeline, "default_threads", torch.get_num_threads)
         plans.append([make_planner(name, task).plan([problem])[0] for name in names])
