@@ -22,9 +22,9 @@ from smp_planner.collision.costs import (
     VelocityLimitCost,
 )
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.constraints import Constraint, segments
 from smp_planner.planning.problem import Problem, difference_of_robots
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_constraints import Reaching, ToolPath
 

@@ -24,7 +24,7 @@ from smp_planner.inference.smc import SMCSettings, sample_posterior
 from smp_planner.library.shapes import bodies
 from smp_planner.library.smp import SMP, AdaptSettings
 from smp_planner.movement_primitives import phases
-from smp_planner.planning.bodies import Ball, exact_map
+from smp_planner.planning.ball import Ball, exact_map
 from smp_planner.planning.modes import group
 
 __all__ = ["Reference", "columns", "exact_draws", "posterior_row", "within_spread"]

@@ -16,8 +16,8 @@ from smp_planner.collision.verification import (
 )
 from smp_planner.library.frame import Frame
 from smp_planner.library.urdf import Robot
-from smp_planner.planning.bodies import PATH_TOLERANCE
 from smp_planner.planning.constraints import Passing
+from smp_planner.planning.path_clearance import PATH_TOLERANCE
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_passing import ToolPassing

@@ -15,9 +15,12 @@ from smp_planner.library.frame import Frame
 from smp_planner.library.shapes import PathObstacle, bodies
 from smp_planner.library.urdf import Robot
 from smp_planner.occupancy.point_cloud import CloudMap
-from smp_planner.planning.bodies import Ball, Body, RobotBody, in_space, reachable_box
+from smp_planner.planning.ball import Ball
+from smp_planner.planning.bodies import Body
 from smp_planner.planning.constraints import Constraint, Passing, Place
+from smp_planner.planning.path_clearance import in_space
 from smp_planner.planning.problem import Problem, Stage
+from smp_planner.planning.robot_body import RobotBody, reachable_box
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["Scene"]

@@ -23,9 +23,9 @@ from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.collision.sampled_clearance import sampled_clearance
 from smp_planner.collision.verification import minimum_duration, within_joint_limits
 from smp_planner.movement_primitives import ProMP
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.conditioning import condition
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_constraints import ToolPath
 from smp_planner.torch_threads import one_thread

@@ -12,8 +12,8 @@ from smp_gym.arrays import BoolArray, FloatArray, IntArray
 from smp_gym.scene import Obstacle
 from smp_planner.collision.forecast import Forecast, is_moving
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.problem import Problem, Stage
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.settings import PlanSettings
 
 __all__ = ["SURPRISE", "Looks", "forecast_of", "parted", "robot_of", "runs_in_time", "surprising"]

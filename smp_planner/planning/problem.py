@@ -15,10 +15,11 @@ from smp_gym.robot.kinematics import SphereSet
 from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel, jaco_model, jaco_of_spheres
 from smp_planner.occupancy.point_cloud import CloudMap
-from smp_planner.planning.bodies import Body, RobotBody
+from smp_planner.planning.bodies import Body
 from smp_planner.planning.clock import Clock
 from smp_planner.planning.constraints import Constraint, Exactly
 from smp_planner.planning.maps import WORKSPACE
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.tool_constraints import Poses, Reaching, ToolPath
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint, ViaPose
 

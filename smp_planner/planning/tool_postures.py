@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from smp_gym.arrays import FloatArray
 from smp_gym.robot.kinematics import UnreachableError, damped_step
 from smp_planner.collision.robot_model import RobotModel
-from smp_planner.planning.bodies import RobotBody
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.tool_goals import GoalRegion, ToolViaPoint
 from smp_planner.planning.tool_orientations import inner_angle
 

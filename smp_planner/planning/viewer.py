@@ -23,7 +23,6 @@ from smp_gym.arrays import FloatArray, checked_array
 from smp_gym.geometry.faces import body_faces
 from smp_gym.optional_packages import require
 from smp_gym.scene import TABLE, Obstacle
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.link_mesh import LinkMesh
 from smp_planner.planning.particle_groups import (
     CHOSEN,
@@ -33,6 +32,7 @@ from smp_planner.planning.particle_groups import (
     groups_on_the_way,
     particle_groups,
 )
+from smp_planner.planning.robot_body import RobotBody
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -37,11 +37,11 @@ from smp_planner.planners.rrt_connect.shortcutting import (
 )
 from smp_planner.planners.rrt_connect.tree_search import rrt_connect
 from smp_planner.planning.assessment import make_plan
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.constraints import at_phases
 from smp_planner.planning.plan import Plan
 from smp_planner.planning.postures import pose_chain, reaching
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.tool_constraints import ToolPath

@@ -15,8 +15,8 @@ from smp_planner.batch.problem_tables import Tables
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import check_collisions
 from smp_planner.library.adapt_settings import AdaptSettings
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.problem import Problem, Stage
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.target import SceneTarget
 from smp_planner.planning.tool_constraints import Reaching
 from smp_planner.planning.tool_goals import GoalRegion

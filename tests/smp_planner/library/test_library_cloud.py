@@ -18,7 +18,7 @@ from smp_planner.library.scene import Scene
 from smp_planner.library.smp import SMP, AdaptSettings, PointCloud, Robot
 from smp_planner.occupancy.grid import DistanceGrid, bake_analytic
 from smp_planner.planning.assessment import assess
-from smp_planner.planning.bodies import path_clearance
+from smp_planner.planning.path_clearance import path_clearance
 from smp_planner.planning.target import SceneTarget
 
 PHASE = np.linspace(0.0, 1.0, 60)

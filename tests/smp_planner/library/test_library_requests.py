@@ -13,9 +13,10 @@ from smp_planner.library.requests import constraints_of
 from smp_planner.library.shapes import Circle, Rectangle, bodies
 from smp_planner.movement_primitives import GaussianBasis, ProMP
 from smp_planner.movement_primitives.mixture import shared_out
-from smp_planner.planning.bodies import Ball, path_clearance
+from smp_planner.planning.ball import Ball
 from smp_planner.planning.conditioning import condition
 from smp_planner.planning.constraints import at_phases
+from smp_planner.planning.path_clearance import path_clearance
 from smp_planner.planning.problem import Problem, Stage
 from smp_planner.planning.target import SceneTarget
 

@@ -18,8 +18,8 @@ from smp_planner.adaptation import adaptation
 from smp_planner.library.covering import cover_mesh
 from smp_planner.library.scene import REFERENCE_SPHERES, Scene
 from smp_planner.library.smp import SMP, AdaptSettings, Box, Circle, GoalRegion, Robot, ViaPoint
-from smp_planner.planning.bodies import RobotBody
 from smp_planner.planning.maps import SceneMaps
+from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.target import SceneTarget
 
 TIP = "j2s6s200_end_effector"

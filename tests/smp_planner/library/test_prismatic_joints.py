@@ -20,8 +20,8 @@ from smp_planner.collision.verification import check_collisions
 from smp_planner.library.collision_pairs import with_collision_pairs
 from smp_planner.library.smp import SMP, AdaptSettings, GoalRegion, Robot
 from smp_planner.occupancy.archive import read_archive
-from smp_planner.planning.bodies import RobotBody, reachable_box
 from smp_planner.planning.maps import SceneMaps
+from smp_planner.planning.robot_body import RobotBody, reachable_box
 from smp_planner.planning.tool_box_cost import ToolBoxCost
 
 ROLL = "0 0 0"

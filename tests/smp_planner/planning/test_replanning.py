@@ -182,7 +182,7 @@ def test_what_cannot_be_gone_on_from_is_refused(policy, plan, problem, rest):
 
 
 def test_a_replan_of_another_robot_is_refused(policy, plan, rest, planar):
-    from smp_planner.planning.bodies import RobotBody
+    from smp_planner.planning.robot_body import RobotBody
 
     other = replace(rest, body=RobotBody(planar))
     with pytest.raises(ValueError, match="must be of a robot with 6 joints, as the plan; got 2"):
@@ -210,7 +210,7 @@ def test_where_an_earlier_rest_began_binds_no_more_after_a_retreat(plan, rest):
 
 
 def test_problems_of_robots_that_were_not_demonstrated_are_refused(policy, problem, planar):
-    from smp_planner.planning.bodies import RobotBody
+    from smp_planner.planning.robot_body import RobotBody
 
     other = replace(problem, body=RobotBody(planar))
     with pytest.raises(ValueError, match=r"must have the 6 .* got 2 in problems\[1\]"):
