@@ -8,7 +8,7 @@ Metres and radians.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from smp_gym.scene import Obstacle
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.collision.verification import LIMIT_TOLERANCE
 from smp_planner.library.covering import MOST_SPHERES, cover_link, cover_obstacle
+from smp_planner.library.moving_chain import MovingChain, moving_chain
 from smp_planner.library.semantic_description import LinkPair, checked_pairs, read_touching
 from smp_planner.library.timed_trajectory import TimedTrajectory, timed
 from smp_planner.library.timing_settings import TimingSettings
@@ -143,16 +144,12 @@ class Robot:
         links = description.links
         if not isinstance(tip, str) or tip not in links:
             raise ValueError(f"tip must be one of {', '.join(links)}; got {tip!r}")
-        joints = _limited({j.name: j for j in description.joints}, limits, velocities)
-        chain = _chain_to(joints, tip)
-        positions = _positions(joints, {joint.name for joint in chain}, _checked_held(held, joints))
-        moving = [joint for joint in chain if positions[joint.name] is None]
-        _check_moving(moving, tip)
+        chain = moving_chain(description.joints, tip, held, limits, velocities)
         allowed = checked_pairs(touching, links.keys())
         if srdf is not None:
             allowed |= read_touching(srdf, links.keys())
         pose = _checked_base(base)
-        robot = _assembled(description, joints, positions, moving, tip, overshoot, bodiless, pose)
+        robot = _assembled(description, chain, tip, overshoot, bodiless, pose)
         return replace(robot, touching=allowed)
 
     @property
@@ -369,112 +366,6 @@ def _checked_base(base: Any) -> FloatArray:
     return pose
 
 
-def _named(name: str, given: Any, joints: Mapping[str, Joint]) -> dict[str, Any]:
-    """Return an argument that maps joints to something."""
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{name} must map names of joints to numbers, got {shown(given)}")
-    unknown = sorted(str(joint) for joint in given if joint not in joints)
-    if unknown:
-        raise ValueError(f"{name} names joints that the URDF lacks: {', '.join(unknown)}")
-    return dict(given)
-
-
-def _limited(joints: Mapping[str, Joint], limits: Any, velocities: Any) -> dict[str, Joint]:
-    """Return joints with the limits that replace those of the URDF."""
-    changed = dict(joints)
-    for name, given in _named("limits", limits, joints).items():
-        lower, upper = checked_array(f"limits[{name!r}]", given, (2,)).tolist()
-        if not lower < upper:
-            raise ValueError(f"limits[{name!r}] must be (lower, upper) of a range, got {given}")
-        changed[name] = replace(changed[name], lower=lower, upper=upper)
-    for name, given in _named("velocities", velocities, joints).items():
-        velocity = checked_number(f"velocities[{name!r}]", given, above=0.0)
-        changed[name] = replace(changed[name], velocity=velocity)
-    return changed
-
-
-def _checked_held(held: Any, joints: Mapping[str, Joint]) -> dict[str, float]:
-    positions = {}
-    for name, given in _named("held", held, joints).items():
-        joint, position = joints[name], checked_number(f"held[{name!r}]", given)
-        if joint.is_fixed:
-            raise ValueError(f"held names the joint {name!r}, which is fixed")
-        if joint.kind in ("floating", "planar") and position != 0.0:
-            raise ValueError(
-                f"held[{name!r}] must be 0 for a {joint.kind} joint, whose place is no number, got "
-                f"{position}: base= says where the robot stands"
-            )
-        bounded = joint.kind in ("revolute", "prismatic") and joint.lower <= joint.upper
-        beyond = max(joint.lower - position, position - joint.upper)
-        if bounded and beyond > LIMIT_TOLERANCE:
-            raise ValueError(
-                f"held[{name!r}] must be within the joint's limits [{joint.lower}, {joint.upper}], "
-                f"got {position}"
-            )
-        positions[name] = position
-    return positions
-
-
-def _positions(
-    joints: Mapping[str, Joint], on_chain: Set[str], held: Mapping[str, float]
-) -> dict[str, float | None]:
-    """Return where each joint stands, rad or m; None for those that move."""
-    positions: dict[str, float | None] = {}
-    for joint in joints.values():
-        # A mimic joint stands as what it follows, which may be one, too.
-        passed, factor, offset = [joint], 1.0, 0.0
-        while passed[-1].name not in held and passed[-1].follows is not None:
-            source, by, plus = passed[-1].follows
-            factor, offset = factor * by, factor * plus + offset
-            passed.append(joints[source])
-            if len(passed) > len(joints):
-                raise ValueError(f"joint {joint.name!r} mimics itself, by {source!r}")
-        last = passed[-1]
-        if last.name in held:
-            positions[joint.name] = factor * held[last.name] + offset
-        elif last.is_fixed or last.name not in on_chain:
-            positions[joint.name] = factor * last.nearest_to_zero + offset
-        elif len(passed) > 1:
-            raise ValueError(
-                f"joint {joint.name!r} is a mimic of {last.name!r}, which moves: it must be held"
-            )
-        else:
-            positions[joint.name] = None
-    return positions
-
-
-def _chain_to(joints: Mapping[str, Joint], tip: str) -> list[Joint]:
-    """Return the joints from the root to a tip."""
-    above = {joint.child: joint for joint in joints.values()}
-    chain, link = [], tip
-    while link in above:
-        chain.append(above[link])
-        link = above[link].parent
-    return chain[::-1]
-
-
-def _check_moving(chain: Sequence[Joint], tip: str) -> None:
-    if not chain:
-        raise ValueError(f"tip {tip!r} must be moved by at least one joint, got none")
-    for joint in chain:
-        if joint.kind not in ("revolute", "continuous", "prismatic"):
-            raise ValueError(
-                f"joint {joint.name!r} in the chain to {tip!r} is {joint.kind}; only revolute, "
-                f"continuous and prismatic joints can be planned for, others must be held"
-            )
-        numbers = (joint.lower, joint.upper, joint.velocity)
-        if not (np.isfinite(numbers).all() and joint.lower < joint.upper and joint.velocity > 0.0):
-            unit = "m" if joint.kind == "prismatic" else "rad"
-            raise ValueError(
-                f"joint {joint.name!r} must have a range and a velocity limit, got "
-                f"[{joint.lower}, {joint.upper}] {unit} and {joint.velocity} {unit}/s; others can "
-                f"be given as limits={{{joint.name!r}: (lower, upper)}} and "
-                f"velocities={{{joint.name!r}: velocity}}"
-            )
-
-
 def _check_bodies(
     links: Mapping[str, Link], indices: Mapping[str, int], count: int, bodiless: Any
 ) -> None:
@@ -505,31 +396,29 @@ def _check_bodies(
 
 def _assembled(
     description: Description,
-    joints: Mapping[str, Joint],
-    positions: Mapping[str, float | None],
-    chain: Sequence[Joint],
+    chain: MovingChain,
     tip: str,
     overshoot: float,
     bodiless: Any,
     base: FloatArray,
 ) -> Robot:
-    links = description.links
+    links, moving = description.links, chain.moving
     children: dict[str, list[Joint]] = {name: [] for name in links}
-    for joint in joints.values():
+    for joint in chain.joints.values():
         children[joint.parent].append(joint)
-    below = {joint.child for joint in joints.values()}
+    below = {joint.child for joint in chain.joints.values()}
     root = next(name for name in links if name not in below)
     # Of each link, the moving one that it is fixed to, and its pose there.
     placed: dict[str, tuple[int, FloatArray]] = {root: (0, np.eye(4))}
-    origins = np.empty((len(chain), 4, 4))
+    origins = np.empty((len(moving), 4, 4))
     waiting = [root]
     while waiting:
         parent = waiting.pop()
         index, pose = placed[parent]
         for joint in children[parent]:
-            position = positions[joint.name]
+            position = chain.positions[joint.name]
             if position is None:
-                number = chain.index(joint)
+                number = moving.index(joint)
                 turn = np.eye(4)
                 turn[:3, :3] = _turning_z_to(joint.axis)
                 origins[number] = pose @ joint.origin @ turn
@@ -537,7 +426,9 @@ def _assembled(
             else:
                 placed[joint.child] = index, pose @ joint.held_at(position)
             waiting.append(joint.child)
-    _check_bodies(links, {name: index for name, (index, _) in placed.items()}, len(chain), bodiless)
+    _check_bodies(
+        links, {name: index for name, (index, _) in placed.items()}, len(moving), bodiless
+    )
     link: list[int] = []
     bodies: list[str] = []
     spheres = [np.empty((0, 4))]
@@ -552,21 +443,21 @@ def _assembled(
         base=base,
         joint_origins=origins,
         end_effector=placed[tip][1],
-        lower=np.array([joint.lower for joint in chain]),
-        upper=np.array([joint.upper for joint in chain]),
-        velocity=np.array([joint.velocity for joint in chain]),
+        lower=np.array([joint.lower for joint in moving]),
+        upper=np.array([joint.upper for joint in moving]),
+        velocity=np.array([joint.velocity for joint in moving]),
         spheres=SphereSet(np.array(link, np.int64), data[:, :3], data[:, 3]),
         collision_pairs=np.empty((0, 2), np.int64),
-        prismatic=np.array([joint.kind == "prismatic" for joint in chain]),
+        prismatic=np.array([joint.kind == "prismatic" for joint in moving]),
     )
-    names = tuple(joint.name for joint in chain)
+    names = tuple(joint.name for joint in moving)
     standing = {
         name: position
-        for name, position in positions.items()
-        if position is not None and not joints[name].is_fixed
+        for name, position in chain.positions.items()
+        if position is not None and not chain.joints[name].is_fixed
     }
     base_links = {name: base @ pose for name, (index, pose) in placed.items() if index == 0}
-    continuous = tuple(joint.kind == "continuous" for joint in chain)
+    continuous = tuple(joint.kind == "continuous" for joint in moving)
     visuals = tuple(
         (index, replace(shape, origin=pose @ shape.origin))
         for name, (index, pose) in placed.items()
