@@ -15,7 +15,7 @@ from smp_planner.experiments.standard_summary import (
     pair_table,
 )
 
-CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+)")
+CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+|–)")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,8 @@ def printed(name, heading):
     """Return the cells of a table below its heading, by the first entry of each line."""
     return {
         entry.split("`")[1] if "`" in entry else entry: [
-            tuple(map(int, CELL.fullmatch(cell).groups())) for cell in cells
+            tuple(None if part == "–" else int(part) for part in CELL.fullmatch(cell).groups())
+            for cell in cells
         ]
         for entry, *cells in lines_of(name, heading)
         if "---" not in entry
@@ -48,9 +49,10 @@ def printed(name, heading):
 def counted(chosen):
     successes, count = sum(int(row["success"]) for row in chosen), len(chosen)
     interval = rate_interval(successes, count)
-    good = sum(float(row["share_good"]) for row in chosen) / count
-    shares = successes / count, interval["low"], interval["high"], good
-    return tuple(round(100 * share) for share in shares)
+    good = [float(row["share_good"]) for row in chosen if row["share_good"]]
+    assert len(good) in (0, count)
+    rates = (round(100 * rate) for rate in (successes / count, interval["low"], interval["high"]))
+    return *rates, round(100 * sum(good) / count) if good else None
 
 
 @pytest.mark.parametrize("name", ["README.md", "docs/results.md"])

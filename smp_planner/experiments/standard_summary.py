@@ -109,11 +109,12 @@ def _tasks(lines: Sequence[Line]) -> list[str]:
 def _rates(lines: Sequence[Line]) -> str:
     """Return the rate of success with its interval, and the mean share of good particles.
 
-    A dash stands for no lines.
+    A dash stands for no lines, and for the share of what has no particles.
     """
     if not lines:
         return "–"
     rate = rate_interval(sum(line["success"] == "1" for line in lines), len(lines))
-    good = sum(float(line["share_good"]) for line in lines) / len(lines)
     value, low, high = (round(100 * rate[name]) for name in ("value", "low", "high"))
-    return f"{value} ({low}–{high}) · {100 * good:.0f}"
+    shares = [float(line["share_good"]) for line in lines if line["share_good"]]
+    good = f"{100 * sum(shares) / len(shares):.0f}" if shares else "–"
+    return f"{value} ({low}–{high}) · {good}"
