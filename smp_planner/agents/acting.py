@@ -8,8 +8,10 @@ file says, too; see `smp_planner.agents.decisions`.
 
 from __future__ import annotations
 
+import base64
 import importlib
 import json
+import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -32,6 +34,8 @@ from smp_planner.planners.card_file import shipped_agent
 __all__ = ["RandomActions", "ViewingAgent", "load_shipped", "load_zip"]
 
 _ACTIONS = spaces.Box(-1.0, 1.0, (7,), np.float32)
+
+_LIBRARIES = ("stable_baselines3", "sb3_contrib")
 
 
 class RandomActions:
@@ -150,22 +154,39 @@ def load_shipped(name: str, task: str) -> ViewingAgent:
     return ViewingAgent(acting(actor), space, name)
 
 
+def _policy_module(entry: Any, path: Path) -> str:
+    """Return the module of a policy, or that of its nearest base in one of the libraries.
+
+    Raises:
+        ValueError: it is a policy of another module that cannot be loaded.
+    """
+    module = str(entry.get("__module__", "")) if isinstance(entry, Mapping) else ""
+    if not module or module.partition(".")[0] in _LIBRARIES:
+        return module
+    try:
+        policy = pickle.loads(base64.b64decode(entry[":serialized:"]))
+    except Exception as error:
+        raise ValueError(
+            f"{path} has a policy of the module {module}, which cannot be loaded: "
+            f"{type(error).__name__}: {error}"
+        ) from None
+    modules = [base.__module__ for base in getattr(policy, "__mro__", ())]
+    return next((each for each in modules if each.partition(".")[0] in _LIBRARIES), module)
+
+
 def _algorithm(data: Mapping[str, Any], path: Path) -> Any:
     """Return the class that saved an agent, told from the module of its policy and its arguments.
 
     Raises:
         ValueError: it cannot be told, or its package is not installed.
     """
-    entry = data.get("policy_class")
-    module = entry.get("__module__", "") if isinstance(entry, Mapping) else ""
-    if module == "smp_planner.agents.normed_critics":
-        module = "stable_baselines3.sac.policies"
+    module = _policy_module(data.get("policy_class"), path)
     package, _, rest = module.partition(".")
     name = rest.partition(".")[0]
     if name == "common":
         # Of the two that share the policies, only one clips.
         name = "ppo" if "clip_range" in data else "a2c"
-    if package not in ("stable_baselines3", "sb3_contrib") or not name.isidentifier():
+    if package not in _LIBRARIES or not name.isidentifier():
         raise ValueError(f"{path} must be an agent that stable-baselines3 saved, got {module!r}")
     try:
         algorithms = importlib.import_module(package)

@@ -1,5 +1,7 @@
 """Agents as methods of the benchmark: stable-baselines3's zips and random actions, end to end."""
 
+import importlib
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -79,6 +81,25 @@ def test_an_agent_of_flat_observations_sees_them_as_gymnasium_flattens_them(env,
     np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
     with pytest.raises(ValueError, match="'ppo' was trained on observations Box"):
         agent.check("DrawS", "exact")
+
+
+def test_a_policy_of_ones_own_is_one_of_its_algorithm(sac, tmp_path, monkeypatch):
+    """Told by the class that it derives from, wherever it lies."""
+    (tmp_path / "my_policies.py").write_text(
+        "from stable_baselines3.sac.policies import MultiInputPolicy\n"
+        "class Mine(MultiInputPolicy):\n    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    policy = importlib.import_module("my_policies").Mine
+    seen = SAC.load(sac, device="cpu").observation_space
+    model = SAC(policy, Bare(seen), **small())
+    model.save(tmp_path / "mine.zip")
+    assert type(load_zip(tmp_path / "mine.zip", "mine").agent.policy).__name__ == "Mine"
+    monkeypatch.delitem(sys.modules, "my_policies")
+    (tmp_path / "my_policies.py").unlink()
+    importlib.invalidate_caches()
+    with pytest.raises(ValueError, match=r"policy of the module my_policies, which cannot be"):
+        load_zip(tmp_path / "mine.zip", "mine")
 
 
 def test_random_actions_are_those_of_the_episode(env):
