@@ -1,9 +1,10 @@
-"""The answer of a report in three sentences: who succeeds most, what is certain, what is open."""
+"""The answer of a report: who succeeds most, what is certain, what is open, and who is quickest."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from math import isfinite
 
 from smp_planner.benchmark.paired_comparison import BETTER, CANNOT_TELL, WORSE, Comparison
 from smp_planner.benchmark.report.findings import Findings
@@ -17,8 +18,8 @@ _NAMED = 4
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
-def answer(findings: Findings) -> tuple[str, str, str]:
-    """Return the three sentences."""
+def answer(findings: Findings) -> tuple[str, ...]:
+    """Return three sentences, and a fourth where time tells apart what success does not."""
     if not findings.episodes:
         return (
             f"No episode was played by all of {listed([m.name for m in findings.methods])}, so "
@@ -26,7 +27,8 @@ def answer(findings: Findings) -> tuple[str, str, str]:
             "No difference between them is certain.",
             "Which of them is best cannot be told before they play the same episodes.",
         )
-    return _first(findings), _second(findings), _third(findings)
+    sentences = _first(findings), _second(findings), _third(findings), _soonest(findings)
+    return tuple(sentence for sentence in sentences if sentence)
 
 
 def _first(findings: Findings) -> str:
@@ -110,6 +112,29 @@ def _third(findings: Findings) -> str:
     # Those of the best method come first.
     named = [f"{each.first} and {each.second} ({_between(each)})" for each in open_]
     return f"Which is better cannot be told of {'; '.join(_first_of(named))}: {least}."
+
+
+def _soonest(findings: Findings) -> str:
+    """Return who is done soonest of those that may be the best; nothing if that is not certain."""
+    open_ = [each.second for each in _of_best(findings) if each.verdict == CANNOT_TELL]
+    names = {findings.methods[0].name, *open_}
+    done = {m.name: m.completion["value"] for m in findings.methods if m.name in names}
+    soonest, *others = sorted(done, key=lambda name: done[name])
+    if not others or not all(map(isfinite, done.values())):
+        return ""
+    for pair in findings.pairs:
+        against = {pair.comparison.first, pair.comparison.second}
+        if soonest in against and against <= names:
+            least = pair.sooner["low"]
+            if pair.comparison.first != soonest:
+                least = 1.0 - pair.sooner["high"]
+            if least <= 0.5:
+                return ""
+    times = listed([f"{name} after {done[name]:.1f} s" for name in others])
+    return (
+        f"Of those that may be the best {soonest} is done soonest: typically {done[soonest]:.1f} s "
+        f"after it began to plan, {times}."
+    )
 
 
 def least_certain(comparisons: int) -> int:

@@ -44,6 +44,14 @@ _METHODS = {
     "promp_diff": "The primitive’s mean path carried past the obstacles by a smooth flow.",
     "rrt_connect": "Rapidly exploring random trees from start and goal, their path shortened and "
     "smoothed; it learns nothing from demonstrations.",
+    "mp_rl": "Learned by policy search: smooth bumps on the primitive’s mean, which depend on the "
+    "obstacles; of 42 proposals the best by the exact check is executed.",
+    "mp_rl_physics": "The same, rewarded by the outcome of episodes alone.",
+    "detour": "The same, without seeing the obstacles.",
+    "sac_her": "Soft actor-critic, learned from its own episodes, with goals in hindsight.",
+    "sac_demonstrations": "Soft actor-critic, learned from its own episodes and some of smp’s.",
+    "cloning": "A network that imitates what smp does.",
+    "distilled": "A network that imitates what smp does, also where it is pushed off its path.",
     "random": "Random actions.",
 }
 

@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from smp_planner.benchmark.cli import app
 from smp_planner.benchmark.episodes import EpisodeRow
 from smp_planner.benchmark.joined_results import join_results
+from smp_planner.benchmark.methods import AGENTS
 from smp_planner.benchmark.report.answer import answer, least_certain, title
 from smp_planner.benchmark.report.charts import interval_bar, time_chart
 from smp_planner.benchmark.report.findings import Findings, find, replay_command
@@ -29,6 +30,7 @@ from smp_planner.benchmark.report.page import Media, Picture, page
 from smp_planner.benchmark.report.training_costs import TrainingCost, training_costs
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.benchmark.statistics import rate_interval
+from smp_planner.planners import PLANNERS
 
 HERE = Path(__file__).parent
 VOID = {"meta", "link", "br", "img", "source"}
@@ -291,6 +293,44 @@ def test_the_answer_knows_ties_and_solitude(
         assert words in sentences
     assert Page(page(found)).open == []
     assert markdown(found).startswith(sentences)
+
+
+@pytest.mark.parametrize(("quicker", "said"), [("smp", True), ("cpromp", True), ("", False)])
+def test_the_answer_says_who_is_done_soonest_where_success_is_equal(
+    tmp_path: Path, quicker: str, said: bool
+) -> None:
+    """Among those that may be the best, and only where it is beyond chance."""
+
+    def changed(row: EpisodeRow) -> EpisodeRow:
+        if row.method == "rrt_connect":
+            return replace(row, success=False, steps=10)
+        odd = bool(row.seed % 2) if quicker == "" else False
+        steps = 60 if (row.method == quicker) != odd else 100
+        return replace(row, success=True, planning_time=0.5, steps=steps)
+
+    write_folder(tmp_path, TASKS[:2], METHODS, 8, change=changed)
+    sentences = answer(find(join_results([tmp_path]), METHODS))
+    if said:
+        (other,) = {"smp", "cpromp"} - {quicker}
+        assert sentences[3] == (
+            f"Of those that may be the best {quicker} is done soonest: typically 3.5 s after it "
+            f"began to plan, {other} after 5.5 s."
+        )
+    else:
+        assert len(sentences) == 3
+
+
+def test_every_method_of_the_package_is_described(tmp_path: Path) -> None:
+    names = [*PLANNERS, *AGENTS]
+    for name in names:
+
+        def renamed(row: EpisodeRow, name: str = name) -> EpisodeRow:
+            return replace(row, method=name if row.method == "smp" else "other")
+
+        write_folder(tmp_path / name, TASKS[:1], (name,), 1, change=renamed)
+    found = find(join_results([tmp_path / name for name in names]))
+    described = re.findall(r"<dt>.*?</dt><dd>(.+?)</dd>", page(found))
+    assert len(set(described)) >= len(names)
 
 
 def test_methods_that_share_no_episode_are_not_compared(tmp_path: Path) -> None:
