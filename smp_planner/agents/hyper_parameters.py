@@ -38,6 +38,9 @@ class DemonstrationSettings(StrictSettings):
 
     Attributes:
         episodes: of `smp`, those that fail left out.
+        stride: control steps from the beginning of one decision that is shown to that of the next;
+            null for as many as a decision lasts. With fewer, decisions overlap, and an episode
+            shows more of them.
         share: of each batch that is drawn from them.
         cloning_steps: steps of the gradient, before the training, in which the actor learns to do
             what was shown.
@@ -50,6 +53,7 @@ class DemonstrationSettings(StrictSettings):
     """
 
     episodes: int = Field(default=100, ge=1)
+    stride: int | None = Field(default=None, ge=1)
     share: float = Field(default=0.5, gt=0.0, lt=1.0)
     cloning_steps: int = Field(default=3000, ge=0)
     noise: float = Field(default=0.1, gt=0.0, le=1.0)

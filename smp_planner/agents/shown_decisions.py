@@ -56,7 +56,12 @@ class Decision(NamedTuple):
 
 
 def shown_episodes(
-    env: gymnasium.Env[Any, Any], task: str, difficulty: str, seed: int, repeat: int
+    env: gymnasium.Env[Any, Any],
+    task: str,
+    difficulty: str,
+    seed: int,
+    repeat: int,
+    stride: int | None = None,
 ) -> Iterator[list[Decision]]:
     """Yield episodes of `smp` that succeed, in unselected scenes, as decisions, without an end.
 
@@ -66,18 +71,19 @@ def shown_episodes(
         difficulty: of the scenes.
         seed: of the training.
         repeat: steps that a decision lasts.
+        stride: steps from the beginning of one decision to that of the next; None for `repeat`.
     """
     policy = PlannerPolicy.make("smp", task)
     for number in count(FIRST_SEED + _SEEDS * seed):
         moments = watched(env, policy, task, difficulty, number)
         if moments is not None:
-            yield _decisions(moments, repeat)
+            yield _decisions(moments, repeat, stride or repeat)
 
 
-def _decisions(moments: Sequence[Moment], repeat: int) -> list[Decision]:
+def _decisions(moments: Sequence[Moment], repeat: int, stride: int) -> list[Decision]:
     actions = decision_actions(np.stack([moment.action for moment in moments[1:]]), repeat)
     found = []
-    for first in range(0, len(actions), repeat):
+    for first in range(0, len(actions), stride):
         steps = moments[first + 1 : first + 1 + repeat]
         reward = sum(step.reward for step in steps)
         before, last = moments[first].observation, steps[-1]
