@@ -81,6 +81,20 @@ def test_shown_decisions_succeed_in_the_physics(episodes):
             assert info["is_success"]
 
 
+def test_decisions_may_begin_at_every_step(episodes):
+    with gym.make(environment_id("Placement"), difficulty="none") as env:
+        every = next(shown_episodes(env, "Placement", "none", 0, REPEAT, stride=1))
+    assert REPEAT * (len(episodes[0]) - 1) < len(every) <= REPEAT * len(episodes[0])
+    for decision, following in zip(every[::REPEAT], episodes[0], strict=True):
+        np.testing.assert_array_equal(decision.action, following.action)
+        for seen, other in ((decision.before, following.before), (decision.after, following.after)):
+            np.testing.assert_array_equal(seen["observation"], other["observation"])
+    # Each that lasts until the end of the episode ends it, and has its reward.
+    ends = [decision.terminated for decision in every]
+    assert ends == [False] * (len(every) - REPEAT) + [True] * REPEAT
+    assert [decision.reward for decision in every] == [SUCCESS_REWARD * end for end in ends]
+
+
 def test_a_share_of_each_batch_is_what_was_shown(model, episodes):
     model.learn(161)
     actions = {tuple(decision.action.tolist()) for episode in episodes for decision in episode}
