@@ -8,10 +8,8 @@ file says, too; see `smp_planner.agents.decisions`.
 
 from __future__ import annotations
 
-import base64
 import importlib
 import json
-import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -164,7 +162,9 @@ def _policy_module(entry: Any, path: Path) -> str:
     if not module or module.partition(".")[0] in _LIBRARIES:
         return module
     try:
-        policy = pickle.loads(base64.b64decode(entry[":serialized:"]))
+        from stable_baselines3.common.save_util import json_to_data
+
+        policy = json_to_data(json.dumps({"policy_class": entry}))["policy_class"]
     except Exception as error:
         raise ValueError(
             f"{path} has a policy of the module {module}, which cannot be loaded: "
