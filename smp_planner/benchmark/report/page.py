@@ -46,8 +46,8 @@ _METHODS = {
     "smoothed; it learns nothing from demonstrations.",
     "mp_rl": "Learned by policy search: smooth bumps on the primitive’s mean, which depend on the "
     "obstacles; of 42 proposals the best by the exact check is executed.",
-    "mp_rl_physics": "The same, rewarded by the outcome of episodes alone.",
-    "detour": "The same, without seeing the obstacles.",
+    "mp_rl_physics": "Policy search as that of mp_rl, rewarded by the outcome of episodes alone.",
+    "detour": "Policy search as that of mp_rl, without seeing the obstacles.",
     "sac_her": "Soft actor-critic, learned from its own episodes, with goals in hindsight.",
     "sac_demonstrations": "Soft actor-critic, learned from its own episodes and some of smp’s.",
     "cloning": "A network that imitates what smp does.",
