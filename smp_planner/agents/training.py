@@ -173,10 +173,10 @@ class Training:
         assert isinstance(self.model.replay_buffer, ShownReplayBuffer)
         if self.model.replay_buffer.shown is not None:
             return
-        repeat, seed = self._settings.action_repeat, self._seed
+        repeat = self._settings.action_repeat
         with gymnasium.make(self._id, difficulty=self._difficulty) as env:
             unending = shown_episodes(
-                env, self._task, self._difficulty, seed, repeat, wanted.stride
+                env, self._task, self._difficulty, self._seed, repeat, wanted.stride
             )
             episodes = []
             for episode in islice(unending, wanted.episodes):

@@ -1,4 +1,4 @@
-"""What a plan needs to know of the body that follows its trajectories.
+"""Protocol of the bodies that follow trajectories: collision cost, limits, exact check.
 
 A body says what its trajectories cost on a map (Eq. (12)), which limits they must keep, and, by an
 exact check, whether they are clear of obstacles. The pipeline knows nothing else of it.
