@@ -228,6 +228,7 @@ def arm_problem(
     stages: tuple[Stage, ...] = (),
     movable: tuple[Obstacle, ...] = (),
     cloud: CloudMap | None = None,
+    traced: int | None = None,
 ) -> Problem:
     """Return the problem of a JACO that moves from rest to rest.
 
@@ -243,6 +244,7 @@ def arm_problem(
             with all that is attached must stay clear of all obstacles throughout.
         movable: see `Problem`.
         cloud: map of a point cloud that must not be touched either; stages have their own.
+        traced: recorded points by which via-points are passed, see `ToolPath`.
 
     Raises:
         ValueError: `start` is not (6,) finite numbers, or there is no goal.
@@ -258,7 +260,7 @@ def arm_problem(
     if via_poses:
         constraints.append(Poses(via_poses))
     if via_points:
-        constraints.append(ToolPath(via_points, model))
+        constraints.append(ToolPath(via_points, model, traced=traced))
     constraints.append(Reaching(goals, model))
     return Problem(
         body,

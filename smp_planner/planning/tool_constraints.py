@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from smp_gym.arrays import FloatArray
+from smp_gym.geometry.polylines import equal_arc_chords
 from smp_planner.collision.costs import Cost, ValueAndGradient
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
@@ -34,6 +35,10 @@ VIA_STD = 0.02
 """Standard deviation, m, with which the primitive is conditioned on via-points of the tool."""
 
 _VIA_ITERATIONS = 8
+
+_CHORD_PARTS = 4
+"""Parts of the straight line between two recorded points of the tool's path, at whose ends its
+distance to via-points is measured."""
 
 _AT_REST = 1e-8
 """Standard deviations of the primitive: smaller changes end the search for a trajectory."""
@@ -155,6 +160,9 @@ class ToolPath:
         via_points: at least one, in the order of their phases.
         robot: whose tool it is.
         name: what the user calls it.
+        traced: points at equal steps of its arc by which the tool's path is recorded, where what is
+            recorded has to pass the via-points, which cuts the corners of the path; by default the
+            path itself has to.
 
     Raises:
         ValueError: a via-point with an orientation, which is for `ToolPassing`.
@@ -163,6 +171,7 @@ class ToolPath:
     via_points: tuple[ToolViaPoint, ...]
     robot: RobotModel
     name: str = "via_points"
+    traced: int | None = None
 
     def __post_init__(self) -> None:
         _refuse_orientations("via_points", self.via_points)
@@ -178,15 +187,22 @@ class ToolPath:
         Via-points are to be passed in their order: each is passed not before the one before it. Of
         all choices of moments in that order, the one whose worst miss is least counts.
         """
-        worst = np.zeros(trajectories.shape[:2])
+        worst = np.zeros((len(trajectories), 1))
         before = None
         for via in self.via_points:
             if before is None or (via.point != before).any():
-                points = self.robot.carried_points(trajectories, via.point)[0]
+                points = self._recorded(trajectories, via.point)
                 before = via.point
             missed = np.linalg.norm(points - via.position, axis=-1) - via.tolerance
             worst = np.minimum.accumulate(np.maximum(worst, missed), axis=1)
         return np.asarray(worst.min(axis=1))
+
+    def _recorded(self, trajectories: FloatArray, point: FloatArray) -> FloatArray:
+        """Return the path (P, M, 3) m of a point carried by the tool, as it is recorded."""
+        path = self.robot.carried_points(trajectories, point)[0]
+        if self.traced is None:
+            return path
+        return equal_arc_chords(np.ascontiguousarray(path, np.float64), self.traced, _CHORD_PARTS)
 
     def boxes(self, settings: PlanSettings) -> ToolBoxes:
         """Return boxes that reach `PlanSettings.via_share` of the tolerance to each side."""

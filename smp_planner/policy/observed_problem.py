@@ -179,6 +179,7 @@ def _drawing_problem(decoded: DecodedObservation, seed: int, phases: np.ndarray 
         via_points=via_points,
         movable=decoded.scene.obstacles,
         cloud=seen_map(decoded, attached),
+        traced=STROKE_POINTS,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smp_gym.arrays import AnyFloatArray, BoolArray
+from smp_gym.geometry import polylines
 from smp_gym.geometry.distance import signed_distance
 from smp_gym.robot.pen import PEN_POSE
 from smp_gym.scene import STROKE_POINTS, Goal, Obstacle, Scene
@@ -82,7 +83,7 @@ def equal_arc(line: AnyFloatArray, count: int = STROKE_POINTS) -> NDArray[np.flo
     Returns:
         (count, 3), the first and last being those of the line.
     """
-    return stroke_kernels.equal_arc(np.ascontiguousarray(line, np.float64), count)
+    return polylines.equal_arc(np.ascontiguousarray(line, np.float64), count)
 
 
 def covered(points: AnyFloatArray, obstacles: Sequence[Obstacle]) -> BoolArray:

@@ -14,6 +14,7 @@ from smp_gym.robot.kinematics import PEN_TIP, UnreachableError
 from smp_gym.robot.pen import pen_path
 from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import STROKE_POINTS, Obstacle
+from smp_gym.tasks.draw_s.rules import RULES, equal_arc
 from smp_planner.movement_primitives import ProMP
 from smp_planner.planners import make_planner, task_settings
 from smp_planner.planning.conditioning import condition, conditioned_parts
@@ -161,6 +162,35 @@ def test_the_plan_passes_free_of_obstacles_and_the_control_does_not(policy, prob
     control = make_planner("promp", "DrawS").plan([problem])[0]
     assert not control.good.any()
     assert "0 are collision-free" in control.message or "0 meet all" in control.message
+
+
+def recorded(path):
+    """A path as an episode records it, at `STROKE_POINTS` equal steps, the lines between cut."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, arc[-1], STROKE_POINTS)
+    points = np.stack([np.interp(at, arc, axis) for axis in path.T], axis=-1)
+    fine = np.linspace(0, STROKE_POINTS - 1, 4 * (STROKE_POINTS - 1) + 1)
+    return np.stack([np.interp(fine, np.arange(STROKE_POINTS), axis) for axis in points.T], axis=-1)
+
+
+def test_a_plan_passes_what_its_recorded_stroke_passes(policy, env):
+    scene = place_without_witness("DrawS", "hard", 92020)
+    observation, _ = env.reset(options={"scene": scene})
+    problem = policy.problem(observation)
+    plan = policy.planner.plan([problem])[0]
+    cut_corners = 0
+    for passing, path in zip(plan.passing, pen_path(plan.trajectories), strict=True):
+        worst = [
+            max(np.linalg.norm(line - via.position, axis=1).min() for via in problem.via_points)
+            for line in (path, recorded(path))
+        ]
+        assert passing == (worst[1] <= CHECKPOINT_TOLERANCE)
+        cut_corners += worst[0] <= CHECKPOINT_TOLERANCE < worst[1]
+    assert cut_corners
+    stroke = equal_arc(pen_path(plan.trajectories[plan.chosen])).ravel()
+    achieved = np.concatenate([stroke, np.ones(STROKE_POINTS), [0.0]])
+    assert plan.good[plan.chosen]
+    assert RULES.success(achieved, observation["desired_goal"])
 
 
 @pytest.mark.parametrize("seed", range(3))
