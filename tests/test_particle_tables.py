@@ -96,8 +96,8 @@ def test_the_earlier_sets_say_the_same(sets):
         assert "{:.0f}, {:.0f}, {:.0f} and {:.0f}".format(*map(np.mean, values)) == shares
         assert shares in whole
     for task in TASKS:
-        _, ratio, low, high = ratio_to_floor(sets[0], task, "smp")
-        assert f"{ratio:.2f} ({low:.2f}–{high:.2f})" in whole
+        ratio = ratio_to_floor(sets[0], task, "smp")
+        assert "{value:.2f} ({low:.2f}–{high:.2f})".format(**ratio) in whole
     chosen = [float(row["chosen"]) for row in sets[0] if row["method"] == "smp"]
     assert f"successful in {sum(chosen) / 100:.0f} of 100 scenes" in whole
 

@@ -24,12 +24,13 @@ __all__ = [
     "paired_difference",
     "rate_interval",
     "ratio_interval",
+    "ratio_of_means",
 ]
 
 CONFIDENCE = 0.95
 """Level of all intervals."""
 
-_RESAMPLES = 2000
+_RESAMPLES, _RATIO_RESAMPLES = 2000, 9999
 _BOOTSTRAP_SEED = 0
 
 Estimate = dict[str, float | int]
@@ -100,6 +101,23 @@ def ratio_interval(first: Sequence[float], second: Sequence[float]) -> Estimate:
     logarithm = mean_interval(list(np.log(above / below)))
     ends = {name: math.exp(logarithm[name]) for name in ("value", "low", "high")}
     return {"count": logarithm["count"], **ends}
+
+
+def ratio_of_means(first: Sequence[float], second: Sequence[float]) -> Estimate:
+    """Return the ratio of two means with a percentile bootstrap interval, pairs drawn together.
+
+    Args:
+        first: of the numerator, at least one.
+        second: of the denominator, as many, positive.
+    """
+    pairs = np.array([first, second], np.float64)
+    count = pairs.shape[1]
+    drawn = np.random.default_rng(_BOOTSTRAP_SEED).integers(0, count, (_RATIO_RESAMPLES, count))
+    above, below = pairs[:, drawn].mean(axis=-1)
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(above / below, [tail, 100.0 - tail])
+    value = float(pairs[0].mean() / pairs[1].mean())
+    return {"count": count, "value": value, "low": float(low), "high": float(high)}
 
 
 @dataclass(frozen=True)

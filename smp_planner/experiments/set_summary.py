@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from smp_planner.benchmark.statistics import Estimate, ratio_of_means
 from smp_planner.experiments.tables import Row
 from smp_planner.experiments.unselected_scenes import FLOOR
 
@@ -20,9 +21,6 @@ SUMMARY = (
     ("demonstrations", 0),
 )
 """Columns of a cell, and their digits after the decimal point."""
-
-_RESAMPLES = 9999
-_SEED = 0
 
 
 def set_table(rows: Sequence[Row], columns: Sequence[tuple[str, int]] = SUMMARY) -> list[list[str]]:
@@ -48,19 +46,16 @@ def _mean(rows: Sequence[Row], name: str, digits: int) -> str:
     return f"{np.mean(known):.{digits}f}" if known else "–"
 
 
-def ratio_to_floor(rows: Sequence[Row], task: str, method: str) -> tuple[int, float, float, float]:
+def ratio_to_floor(rows: Sequence[Row], task: str, method: str) -> Estimate:
     """Return how many times the noise floor's distance to the posterior a method's is.
 
-    Means over the scenes in which both have a distance are divided, and the interval is that of a
-    bootstrap over scenes (percentiles, 95 %).
+    It is the ratio of the means over the scenes in which both have a distance, with the interval of
+    `smp_planner.benchmark.statistics.ratio_of_means`.
 
     Args:
         rows: of `unselected_scenes.measure_scene`.
         task: of the scenes.
         method: of the rows.
-
-    Returns:
-        Scenes, ratio, lower and upper end of its interval.
 
     Raises:
         ValueError: no scene has both distances.
@@ -76,10 +71,7 @@ def ratio_to_floor(rows: Sequence[Row], task: str, method: str) -> tuple[int, fl
     both = [seed for seed in distances[FLOOR] if seed in distances[method]]
     if not both:
         raise ValueError(f"rows must have a scene of {task} with {method} and {FLOOR}, got none")
-    own, floor = (np.array([distances[name][seed] for seed in both]) for name in (method, FLOOR))
-    drawn = np.random.default_rng(_SEED).integers(0, len(both), (_RESAMPLES, len(both)))
-    low, high = np.percentile(own[drawn].mean(axis=1) / floor[drawn].mean(axis=1), [2.5, 97.5])
-    return len(both), float(own.mean() / floor.mean()), float(low), float(high)
+    return ratio_of_means(*([distances[name][seed] for seed in both] for name in (method, FLOOR)))
 
 
 def ratio_table(rows: Sequence[Row]) -> list[list[str]]:
@@ -89,6 +81,6 @@ def ratio_table(rows: Sequence[Row]) -> list[list[str]]:
     for method in methods:
         if method != FLOOR:
             found = [ratio_to_floor(rows, task, method) for task in tasks]
-            cells = [f"{ratio:.2f} ({low:.2f}–{high:.2f})" for _, ratio, low, high in found]
+            cells = ["{value:.2f} ({low:.2f}–{high:.2f})".format(**each) for each in found]
             lines.append([method, *cells])
     return lines

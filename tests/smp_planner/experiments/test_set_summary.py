@@ -27,10 +27,9 @@ def test_cells_are_means_of_what_is_known():
 
 def test_a_ratio_is_that_of_means_over_the_scenes_of_both():
     found = rows([100.0, 200.0, None], [150.0, 250.0, 1e6])
-    scenes, ratio, low, high = ratio_to_floor(found, "DrawS", "smp")
-    assert (scenes, ratio) == (2, pytest.approx(400.0 / 300.0))
+    ratio = ratio_to_floor(found, "DrawS", "smp")
     # A bootstrap of two scenes has the scenes themselves at its ends.
-    assert (low, high) == (pytest.approx(1.25), pytest.approx(1.5))
+    assert ratio == pytest.approx({"count": 2, "value": 400.0 / 300.0, "low": 1.25, "high": 1.5})
     assert ratio_table(found)[1] == ["smp", "1.33 (1.25–1.50)"]
 
 
@@ -40,8 +39,8 @@ def test_the_interval_of_a_ratio_covers_the_truth():
     for _ in range(60):
         floor = rng.gamma(20.0, 10.0, 40)
         own = 1.3 * floor * rng.gamma(50.0, 0.02, 40)
-        _, _, low, high = ratio_to_floor(rows(list(floor), list(own)), "DrawS", "smp")
-        hits += low <= 1.3 <= high
+        ratio = ratio_to_floor(rows(list(floor), list(own)), "DrawS", "smp")
+        hits += ratio["low"] <= 1.3 <= ratio["high"]
     # Of 95 % in expectation; fewer than 51 of 60 happen less than once in 300 times.
     assert hits >= 51
 
