@@ -2,7 +2,7 @@
 
 lasa takes the tables on handwriting, narrow-places those of public arms in narrow places, cages the
 episodes of Placement in cages, sets the particle sets on frozen scenes, sides those on scenes with
-two goals, and standard the episodes of the suite of that name.
+two goals, standard and tight the episodes of the suites of these names.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from smp_planner.experiments.shipped_rows import (
     LASA,
     NARROW_PLACES,
     SETS,
+    SHIPPED_SUITES,
     SIDES,
     SIDES_MEASURES,
-    STANDARD,
     cage_rows,
     lasa_rows,
     narrow_rows,
     set_rows,
     ship,
-    standard_rows,
+    suite_rows,
 )
-from smp_planner.experiments.standard_summary import (
+from smp_planner.experiments.suite_summary import (
     cell_table,
     equal_episodes,
     method_table,
@@ -47,6 +47,8 @@ app = CommandLine(
 )
 
 _Out = Annotated[Path, typer.Option(help="Folder to write.", file_okay=False)]
+_Runs = Annotated[list[Path], typer.Argument(help="That smp-bench run wrote.", file_okay=False)]
+_Method = Annotated[str, typer.Option(help="Held against each of the others.")]
 _RESULTS = Path("envs_assets/results")
 
 
@@ -77,12 +79,7 @@ def narrow_places(
 
 
 @app.command()
-def cages(
-    folders: Annotated[
-        list[Path], typer.Argument(help="That smp-bench run wrote.", file_okay=False)
-    ],
-    out: _Out = _RESULTS,
-) -> None:
+def cages(folders: _Runs, out: _Out = _RESULTS) -> None:
     """Ship the episodes of Placement in cages.
 
     Example: python scripts/ship_rows.py cages results/cages results/cages_rivals
@@ -125,29 +122,39 @@ def sides(
 
 
 @app.command()
-def standard(
-    folders: Annotated[
-        list[Path], typer.Argument(help="That smp-bench run wrote.", file_okay=False)
-    ],
-    method: Annotated[str, typer.Option(help="Held against each of the others.")] = "smp",
-    out: _Out = _RESULTS,
-) -> None:
+def standard(folders: _Runs, method: _Method = "smp", out: _Out = _RESULTS) -> None:
     """Ship the episodes of the suite standard, and print its tables.
 
     Example: python scripts/ship_rows.py standard results/standard
     """
-    lines = standard_rows(folders)
-    methods = {line["method"] for line in lines}
+    _suite("standard", folders, method, "task", out)
+
+
+@app.command()
+def tight(folders: _Runs, method: _Method = "smp", out: _Out = _RESULTS) -> None:
+    """Ship the episodes of the suite tight, and print its tables, by family.
+
+    Example: python scripts/ship_rows.py tight results/tight
+    """
+    _suite("tight", folders, method, "family", out)
+
+
+def _suite(suite: str, folders: Sequence[Path], method: str, by: str, out: Path) -> None:
+    """Ship the episodes of a suite, and print its tables by task or family."""
+    found = suite_rows(suite, folders)
+    for folder, count in found.left_out.items():
+        tell(f"left out {count} rows of {folder}, which are of other code")
+    methods = {line["method"] for line in found.lines}
     if method not in methods:
         allowed = ", ".join(sorted(methods))
         raise typer.BadParameter(f"got {method!r}, allowed are {allowed}", param_hint="--method")
-    _write(lines, out / STANDARD)
-    episodes = equal_episodes(lines)
+    _write(found.lines, out / SHIPPED_SUITES[suite])
+    episodes = equal_episodes(found.lines)
     tell(f"{len(episodes)} episodes that all have played")
     for table in (
-        method_table(episodes),
-        pair_table(episodes, method),
-        cell_table(lines, method),
+        method_table(episodes, by),
+        pair_table(episodes, method, by),
+        cell_table(found.lines, method, by),
     ):
         tell(f"\n{markdown_table(table)}")
 

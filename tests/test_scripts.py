@@ -16,7 +16,7 @@ SCRIPTS = {
 WITH_COMMANDS = {
     "controls": ("run", "table"),
     "lasa": ("boxes", "compare", "modulate", "posterior", "shapes", "tune"),
-    "ship_rows": ("cages", "lasa", "narrow-places", "sets", "sides", "standard"),
+    "ship_rows": ("cages", "lasa", "narrow-places", "sets", "sides", "standard", "tight"),
     "table_two": ("run", "show"),
 }
 EXAMPLES = [

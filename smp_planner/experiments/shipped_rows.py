@@ -26,20 +26,24 @@ __all__ = [
     "LASA",
     "NARROW_PLACES",
     "SETS",
+    "SHIPPED_SUITES",
     "SIDES",
     "SIDES_MEASURES",
-    "STANDARD",
+    "SuiteRows",
     "cage_rows",
     "lasa_rows",
     "narrow_rows",
     "set_rows",
     "ship",
-    "standard_rows",
+    "suite_rows",
 ]
 
 LASA, NARROW_PLACES, CAGES = "lasa.csv.gz", "narrow_places.csv.gz", "cages.csv.gz"
-SETS, SIDES, STANDARD = "frozen_sets.csv.gz", "sides.csv.gz", "standard.csv.gz"
+SETS, SIDES = "frozen_sets.csv.gz", "sides.csv.gz"
 """Names of the files."""
+
+SHIPPED_SUITES = {suite: f"{suite}.csv.gz" for suite in ("standard", "tight")}
+"""Names of the files of suites of which all episodes ship."""
 
 _DIGITS = 6
 """Significant ones of a number; with four some printed means have another last digit."""
@@ -55,8 +59,8 @@ SIDES_MEASURES = ("good", "goals", "variation", "wasserstein")
 """Measures that ship of sets with more than one goal."""
 
 _CAGE = ("method", "difficulty", "seed", "success", "cause", "share_good")
-_STANDARD = (
-    *("method", "task", "difficulty", "half", "seed"),
+_SUITE = (
+    *("method", "task", "family", "difficulty", "half", "seed"),
     *("success", "cause", "share_good", "planning_time", "steps"),
 )
 
@@ -200,39 +204,57 @@ def cage_rows(folders: Sequence[Path]) -> list[Line]:
     return lines
 
 
-def standard_rows(folders: Sequence[Path]) -> list[Line]:
-    """Return a line for each episode of some runs of the frozen lists of the suite standard.
+@dataclass(frozen=True)
+class SuiteRows:
+    """Episodes of a suite as they ship.
 
-    Of an episode that two runs have played by the same method, the line is that of the first.
+    Attributes:
+        lines: one for each episode of each method.
+        left_out: how many a folder holds, by its path, that are of other code than `lines` are.
+    """
+
+    lines: list[Line]
+    left_out: dict[Path, int]
+
+
+def suite_rows(suite: str, folders: Sequence[Path]) -> SuiteRows:
+    """Return a line for each episode of some runs of the frozen lists of a suite.
+
+    What a method has played of a task is of one code, that of the first folder with any of it; what
+    later ones hold of other code is left out. Of an episode that two runs have played by the same
+    method, the line is that of the first.
 
     Args:
+        suite: one of `SHIPPED_SUITES`.
         folders: of results, finished or not.
 
     Raises:
         ResultsError: a folder holds no results, or damaged ones.
-        ValueError: a run is of other scenes, or two runs have a method in common but not the code.
+        ValueError: a run is of other scenes.
     """
-    found: dict[tuple[str, str, str, str, int], EpisodeRow] = {}
-    codes: dict[str, tuple[str, Path]] = {}
+    found: dict[tuple[str, tuple[str, ...], int], EpisodeRow] = {}
+    codes: dict[tuple[str, str], str] = {}
+    order: dict[str, int] = {}
+    left_out = {}
     for folder in folders:
         manifest, rows = read_results(folder)
-        if not manifest.frozen or not set(manifest.cells) <= set(SUITES["standard"]):
-            raise ValueError(f"{folder} must be a run of the frozen lists of the suite standard")
+        if not manifest.frozen or not set(manifest.cells) <= set(SUITES[suite]):
+            raise ValueError(f"{folder} must be a run of the frozen lists of the suite {suite}")
         for method in manifest.methods:
-            code, first = codes.setdefault(method, (manifest.code, folder))
-            if code != manifest.code:
-                raise ValueError(
-                    f"{folder} must be of the code of {first}, which has {method}, too"
-                )
+            order.setdefault(method, len(order))
         for row in rows:
+            codes.setdefault((row.method, row.task), manifest.code)
+        own = [row for row in rows if codes[row.method, row.task] == manifest.code]
+        if len(own) < len(rows):
+            left_out[folder] = len(rows) - len(own)
+        for row in own:
             found.setdefault((row.method, *_episode(row)), row)
-    order = {method: number for number, method in enumerate(codes)}
     kept = sorted(found.values(), key=lambda row: (order[row.method], *_episode(row)))
-    return [_episode_line(row, _STANDARD) for row in kept]
+    return SuiteRows([_episode_line(row, _SUITE) for row in kept], left_out)
 
 
-def _episode(row: EpisodeRow) -> tuple[str, str, str, int]:
-    return row.task, row.difficulty, row.half, row.seed
+def _episode(row: EpisodeRow) -> tuple[tuple[str, ...], int]:
+    return (row.task, row.family, row.difficulty, row.half), row.seed
 
 
 def _episode_line(row: EpisodeRow, columns: Sequence[str]) -> Line:

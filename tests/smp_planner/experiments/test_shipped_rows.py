@@ -17,7 +17,7 @@ from smp_planner.experiments.shipped_rows import (
     lasa_rows,
     narrow_rows,
     ship,
-    standard_rows,
+    suite_rows,
 )
 from smp_planner.experiments.tables import Column, summarise, write_tables
 
@@ -146,7 +146,7 @@ def test_episodes_are_of_the_frozen_lists_of_standard(tmp_path):
                 row = replace(row, seed=key.seed, half=key.half)
                 played[key.method, key.half, str(key.seed)] = row
                 store.append(row)
-    lines = standard_rows(folders)
+    lines = suite_rows("standard", folders).lines
     assert list(dict.fromkeys(line["method"] for line in lines)) == [
         "smp",
         "cpromp",
@@ -164,12 +164,36 @@ def test_episodes_are_of_the_frozen_lists_of_standard(tmp_path):
         for key in made.episode_keys():
             known = played.get((key.method, key.half, str(key.seed)), row)
             store.append(replace(known, method="cpromp", seed=key.seed, half=key.half, steps=1))
-    (added,) = [line for line in standard_rows([*folders, tmp_path / "more"]) if line not in lines]
+    found = suite_rows("standard", [*folders, tmp_path / "more"])
+    (added,) = [line for line in found.lines if line not in lines]
     assert (added["method"], added["steps"]) == ("cpromp", "1")
-    with EpisodeStore(tmp_path / "older", replace(made, code="0123456789abcdef")) as store:
-        pass
-    with pytest.raises(ValueError, match=r"older must be of the code of .*one, which has cpromp"):
-        standard_rows([*folders, tmp_path / "older"])
+    assert not found.left_out
     write_folder(tmp_path / "drawn", ["DrawS"], ["smp"], 3)
     with pytest.raises(ValueError, match="drawn must be a run of the frozen lists of the suite"):
-        standard_rows([tmp_path / "drawn"])
+        suite_rows("standard", [tmp_path / "drawn"])
+
+
+def test_what_a_method_has_played_of_a_task_is_of_one_code(tmp_path):
+    cells = [Cell("DrawS", "hard"), Cell("Placement", "hard")]
+    folders = {name: tmp_path / name for name in ("newer", "older")}
+    for (name, folder), own in zip(folders.items(), (cells[:1], cells), strict=True):
+        made = make_manifest(own, ("smp", "cpromp"), 0, 2, frozen=True)
+        row = real_rows()[0]
+        with EpisodeStore(folder, replace(made, code=f"{name}5678abcdef")) as store:
+            for key in made.episode_keys():
+                known = replace(row, method=key.method, seed=key.seed, half=key.half)
+                cell = key.cell
+                store.append(
+                    replace(
+                        known,
+                        task=cell.task,
+                        difficulty=cell.difficulty,
+                        family=cell.family,
+                        steps={"newer": 1, "older": 2}[name],
+                    )
+                )
+    found = suite_rows("standard", list(folders.values()))
+    played = [(line["method"], line["task"], line["steps"]) for line in found.lines]
+    expected = [("DrawS", "1"), ("DrawS", "1"), ("Placement", "2"), ("Placement", "2")]
+    assert played == [(method, *rest) for method in ("smp", "cpromp") for rest in expected]
+    assert found.left_out == {folders["older"]: 4}

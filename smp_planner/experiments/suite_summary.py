@@ -1,10 +1,10 @@
-"""Tables of the suite standard: success by task and method, by cell, and in pairs of methods."""
+"""Tables of a suite: success by method, by cell and in pairs of methods, by task or by family."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from smp_gym.scene import DIFFICULTIES, TASKS
+from smp_gym.scene import DIFFICULTIES, FAMILIES, TASKS
 from smp_planner.benchmark.statistics import PairedCounts, mcnemar, rate_interval
 
 __all__ = ["cell_table", "equal_episodes", "method_table", "pair_table"]
@@ -12,7 +12,9 @@ __all__ = ["cell_table", "equal_episodes", "method_table", "pair_table"]
 Line = Mapping[str, str]
 Episode = dict[str, Line]
 
-_EPISODE = ("task", "difficulty", "half", "seed")
+_EPISODE = ("task", "family", "difficulty", "half", "seed")
+_GROUPS = {"task": TASKS, "family": FAMILIES}
+"""What tables have a column, or a line, for each of; in this order."""
 _LEAST_P = 1e-4
 """p-values below it are printed as such."""
 
@@ -21,7 +23,7 @@ def equal_episodes(lines: Sequence[Line]) -> list[Episode]:
     """Return the episodes that all methods have played, each its lines by method.
 
     Args:
-        lines: of `smp_planner.experiments.shipped_rows.standard_rows`.
+        lines: of `smp_planner.experiments.shipped_rows.suite_rows`.
 
     Raises:
         ValueError: there is no such episode.
@@ -37,42 +39,44 @@ def equal_episodes(lines: Sequence[Line]) -> list[Episode]:
     return equal
 
 
-def method_table(episodes: Sequence[Episode]) -> list[list[str]]:
+def method_table(episodes: Sequence[Episode], by: str = "task") -> list[list[str]]:
     """Return success and share of good particles, in %, by method and task, the first row the head.
 
     Args:
         episodes: of `equal_episodes`.
+        by: "task", or "family" for a column for each family.
     """
-    tasks = _tasks([line for episode in episodes for line in episode.values()])
+    groups = _groups([line for episode in episodes for line in episode.values()], by)
     methods = dict.fromkeys(method for episode in episodes for method in episode)
-    table = [["success · good", *tasks]]
+    table = [["success · good", *groups]]
     for method in methods:
         own = [episode[method] for episode in episodes]
-        cells = [_rates([line for line in own if line["task"] == task]) for task in tasks]
+        cells = [_rates([line for line in own if line[by] == group]) for group in groups]
         table.append([f"`{method}`", *cells])
     return table
 
 
-def cell_table(lines: Sequence[Line], method: str) -> list[list[str]]:
-    """Return the same of one method by task and difficulty.
+def cell_table(lines: Sequence[Line], method: str, by: str = "task") -> list[list[str]]:
+    """Return the same of one method by task, or family, and difficulty.
 
     Args:
-        lines: of `smp_planner.experiments.shipped_rows.standard_rows`.
+        lines: of `smp_planner.experiments.shipped_rows.suite_rows`.
         method: of some of them.
+        by: "task", or "family" for a line for each family.
     """
     difficulties = [name for name in DIFFICULTIES if name != "none"]
     own = [line for line in lines if line["method"] == method]
     table = [["success · good", *difficulties]]
-    for task in _tasks(own):
+    for group in _groups(own, by):
         cells = [
-            [line for line in own if (line["task"], line["difficulty"]) == (task, difficulty)]
+            [line for line in own if (line[by], line["difficulty"]) == (group, difficulty)]
             for difficulty in difficulties
         ]
-        table.append([task, *map(_rates, cells)])
+        table.append([group, *map(_rates, cells)])
     return table
 
 
-def pair_table(episodes: Sequence[Episode], method: str) -> list[list[str]]:
+def pair_table(episodes: Sequence[Episode], method: str, by: str = "task") -> list[list[str]]:
     """Return episodes that a method alone solves and that a rival alone does, by rival and task.
 
     The last column is the p-value of McNemar's exact test on all episodes.
@@ -80,12 +84,13 @@ def pair_table(episodes: Sequence[Episode], method: str) -> list[list[str]]:
     Args:
         episodes: of `equal_episodes`.
         method: stands first in each pair.
+        by: "task", or "family" for a column for each family.
     """
     rivals = [name for name in episodes[0] if name != method]
-    tasks = _tasks([episode[method] for episode in episodes])
-    of_tasks = [[each for each in episodes if each[method]["task"] == task] for task in tasks]
-    groups = [*of_tasks, episodes]
-    table = [["", *tasks, "all", "p"]]
+    names = _groups([episode[method] for episode in episodes], by)
+    groups = [[each for each in episodes if each[method][by] == name] for name in names]
+    groups.append(list(episodes))
+    table = [["", *names, "all", "p"]]
     for rival in rivals:
         counts = [
             PairedCounts.of(
@@ -100,10 +105,10 @@ def pair_table(episodes: Sequence[Episode], method: str) -> list[list[str]]:
     return table
 
 
-def _tasks(lines: Sequence[Line]) -> list[str]:
-    """Return the tasks of lines, in their usual order."""
-    played = {line["task"] for line in lines}
-    return [task for task in TASKS if task in played]
+def _groups(lines: Sequence[Line], by: str) -> list[str]:
+    """Return the tasks, or families, of lines, in their usual order."""
+    played = {line[by] for line in lines}
+    return [name for name in _GROUPS[by] if name in played]
 
 
 def _rates(lines: Sequence[Line]) -> str:
