@@ -31,6 +31,9 @@ from smp_planner.benchmark.options import (
 )
 from smp_planner.planners.bump_planner import LEARNED
 
+_ITERATIONS = 600
+"""Batches of a training whose learning rate stays as it is, if nothing else is said."""
+
 _REPORTED = {"check": (20, "clear"), "physics": (5, "successful")}
 """By reward: iterations from one checkpoint to the next, and what good trajectories are called. An
 iteration takes a third of a second with the check, and ten seconds or more with the physics."""
@@ -43,7 +46,13 @@ def main(
     ] = "medium",
     agent: Annotated[str, typer.Option(help=f"One of {', '.join(LEARNED)}.")] = "mp_rl",
     seed: Annotated[int, typer.Option(min=0, max=5, help="Of scenes, weights, actions.")] = 0,
-    iterations: Annotated[int, typer.Option(min=1, help="Batches in all.")] = 600,
+    iterations: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Batches in all; by default those in which the learning rate falls, or 600.",
+        ),
+    ] = None,
     out: AgentFolder = None,
     settings: Annotated[
         Path | None,
@@ -79,16 +88,17 @@ def main(
     console = Console(highlight=False)
     if training.iteration:
         console.print(f"going on from iteration {training.iteration}")
+    wanted = iterations or chosen.annealing or _ITERATIONS
     try:
         with progress_bar("scenes", None, console) as (bar, row):
             training.prepare(lambda done, total: bar.update(row, completed=done, total=total))
         every, good = _REPORTED[chosen.reward]
-        with progress_bar(good, iterations, console) as (bar, row):
+        with progress_bar(good, wanted, console) as (bar, row):
 
             def progress(done: int, share: float) -> None:
                 bar.update(row, completed=done, description=f"{good} {share:4.0%}")
 
-            training.run(iterations, every=every, progress=progress)
+            training.run(wanted, every=every, progress=progress)
     except Interrupted:
         console.print("interrupted; the same command goes on from the last checkpoint")
         raise

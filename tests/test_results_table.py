@@ -1,7 +1,7 @@
 """The tables of README and results are counted from the rows that are shipped."""
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 
 import pytest
 from printed_tables import TASKS, lines_of, page, shipped
@@ -112,6 +112,19 @@ def test_pairs_are_counted(rival, equal):
         assert pair == (own.count((1, 0)), own.count((0, 1)))
 
 
+def test_the_suite_tight_is_counted_by_family():
+    episodes, text = equal_episodes(shipped("tight.csv.gz")), page("docs/results.md")
+    lists = Counter(
+        tuple(found["smp"][name] for name in ("task", "family", "difficulty")) for found in episodes
+    )
+    assert len(lists) == 30
+    played = " or ".join(str(count) for count in sorted(set(lists.values())))
+    assert f"the first {played} episodes of each list, {len(episodes)} in all" in text
+    for table in (method_table(episodes, "family"), pair_table(episodes, "smp", "family")):
+        for line in markdown_table(table).splitlines()[2:]:
+            assert f"{line}\n" in text
+
+
 def test_what_is_said_of_older_code_is_counted(rows):
     outcomes = {"old": {}, "new": {}}
     for name, table in (("old", shipped("standard_5a6c30d.csv.gz")), ("new", rows)):
@@ -129,8 +142,14 @@ def test_what_is_said_of_older_code_is_counted(rows):
     alone = f"{pairs.count((1, 0))} episodes were solved then alone, {pairs.count((0, 1))} now"
     assert alone in text
     assert f"That is {sum(new.values())} of 1200" in text
-    told = {"cpromp": "0 : 2", "promp_diff": "10 : 2", "prompt_o": "0 : 1", "mp_rl": "1 : 13"}
-    for method in (*told, "rrt_connect", "detour", "promp"):
+    told = {
+        "cpromp": "0 : 4",
+        "promp_diff": "11 : 2",
+        "prompt_o": "0 : 1",
+        "rrt_connect": "0 : 2",
+        "mp_rl": "1 : 23",
+    }
+    for method in (*told, "detour", "promp"):
         pairs = [
             (won, outcomes["new"][key])
             for key, won in outcomes["old"].items()
@@ -138,10 +157,30 @@ def test_what_is_said_of_older_code_is_counted(rows):
         ]
         alone = f"{pairs.count((1, 0))} : {pairs.count((0, 1))}"
         assert alone == told.get(method, "0 : 0")
-    said = (
-        "of `cpromp` {cpromp}, of `promp_diff` {promp_diff}, of `prompt_o` {prompt_o}, of `mp_rl`"
-    )
-    assert said.format(**told) in text
+    said = ", ".join(f"of `{name}` {told[name]}" for name in list(told)[:-1])
+    assert f"{said}, of `mp_rl`, which has" in text
+    assert f"and DrawS, {told['mp_rl']}" in text
+
+
+def test_what_is_said_of_plans_by_the_recorded_stroke_is_counted(rows):
+    now = {row["method"]: {} for row in rows}
+    for row in rows:
+        if row["task"] == "DrawS":
+            now[row["method"]][row["difficulty"], row["half"], row["seed"]] = int(row["success"])
+    alone = defaultdict(lambda: [0, 0])
+    for row in shipped("draw_s_32ea3d6.csv.gz"):
+        after = now[row["method"]][row["difficulty"], row["half"], row["seed"]]
+        alone[row["method"]][0] += after > int(row["success"])
+        alone[row["method"]][1] += after < int(row["success"])
+    text = " ".join(page("docs/results.md").split())
+    own = dict(alone)
+    assert own.pop("smp") == [3, 1]
+    assert own.pop("cpromp") == [7, 1]
+    assert own.pop("rrt_connect") == [9, 0]
+    assert own.pop("promp_diff") == [0, 1]
+    del own["mp_rl"]
+    assert not any(map(any, own.values()))
+    assert "`smp` now solves 3 that it did not and 1 not that it did, `cpromp` 7 and 1" in text
 
 
 SPEEDS = {"easy": "5 cm/s", "medium": "10 cm/s", "hard": "20 cm/s"}
