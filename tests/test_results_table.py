@@ -145,7 +145,7 @@ def test_what_is_said_of_older_code_is_counted(rows):
     told = {
         "cpromp": "0 : 4",
         "promp_diff": "11 : 2",
-        "prompt_o": "0 : 1",
+        "prompt_o": "1 : 4",
         "rrt_connect": "0 : 2",
         "mp_rl": "1 : 23",
     }
@@ -177,6 +177,7 @@ def test_what_is_said_of_plans_by_the_recorded_stroke_is_counted(rows):
     assert own.pop("smp") == [3, 1]
     assert own.pop("cpromp") == [7, 1]
     assert own.pop("rrt_connect") == [9, 0]
+    assert own.pop("prompt_o") == [8, 6]
     assert own.pop("promp_diff") == [0, 1]
     del own["mp_rl"]
     assert not any(map(any, own.values()))
