@@ -185,10 +185,12 @@ def drawn(
         for parameter in command.parameters
         if parameter.required or (parameter.kind is Path and parameter.option in _GIVEN)
     }
+    # What else is wrong may be named first.
+    also = (str(folder / "run"),) if command.title in _OTHER_FOLDERS else ()
     how = rng.random()
     if how < 0.15 or not command.parameters:
         word = str(rng.choice(["--no-such-option", "-Z", "--=", "surplus\udcff"]))
-        return [*command.words, *_line(good), word], (word.strip("="), "surplus")
+        return [*command.words, *_line(good), word], (word.strip("="), "surplus", *also)
     attacked = command.parameters[rng.integers(len(command.parameters))]
     if how < 0.2 and attacked.is_option and attacked.kind is not bool:
         return [*command.words, *_line(good), attacked.option], (attacked.option,)
@@ -204,7 +206,8 @@ def drawn(
     if attacked.many and attacked.kind is str:
         words = [*_good(attacked, command, folder)[:-1], value]
     parts = [part.strip() for part in value.split(",")] if value.strip() else [""]
-    return [*command.words, *_line({**good, attacked: words})], (attacked.option, value, *parts)
+    named = (attacked.option, value, *parts, *also)
+    return [*command.words, *_line({**good, attacked: words})], named
 
 
 def _good(parameter: Parameter, command: Command, folder: Path) -> list[str]:
@@ -231,6 +234,16 @@ _WRITE_FILES = (
     "train_shape_maps.py",
     "tune_methods.py",
 )
+
+
+_OTHER_FOLDERS = (
+    "ship_rows.py lasa",
+    "ship_rows.py narrow-places",
+    "ship_rows.py sets",
+    "ship_rows.py sides",
+    "smp-bench import",
+)
+"""Commands that do not take what `smp-bench run` has written."""
 
 
 def _line(given: dict[Parameter, list[str]]) -> list[str]:
