@@ -247,7 +247,8 @@ def arm_problem(
         traced: recorded points by which via-points are passed, see `ToolPath`.
 
     Raises:
-        ValueError: `start` is not (6,) finite numbers, or there is no goal.
+        ValueError: `start` is not (6,) finite numbers, there is no goal, or `traced` is neither
+            None nor a whole number from 2 on.
     """
     model = jaco_model(attached)
     body = RobotBody(model, WORKSPACE)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, checked_count
 from smp_gym.geometry.polylines import equal_arc_chords
 from smp_planner.collision.costs import Cost, ValueAndGradient
 from smp_planner.collision.robot_model import RobotModel
@@ -165,7 +165,8 @@ class ToolPath:
             path itself has to.
 
     Raises:
-        ValueError: a via-point with an orientation, which is for `ToolPassing`.
+        ValueError: a via-point with an orientation, which is for `ToolPassing`, or `traced` is
+            neither None nor a whole number from 2 on.
     """
 
     via_points: tuple[ToolViaPoint, ...]
@@ -175,6 +176,8 @@ class ToolPath:
 
     def __post_init__(self) -> None:
         _refuse_orientations("via_points", self.via_points)
+        if self.traced is not None:
+            checked_count("traced", self.traced, least=2)
 
     @property
     def phases(self) -> tuple[float, ...]:

@@ -70,6 +70,13 @@ def test_a_point_in_coordinates_costs_what_its_gaussian_says():
         assert_gradient(one, q)
 
 
+@pytest.mark.parametrize("traced", [1, 0, -3, 2.5, True, "32"])
+def test_the_points_of_a_recorded_path_are_a_whole_number(robot, traced):
+    via = ToolViaPoint(0.5, POINT, np.zeros(3), 0.1)
+    with pytest.raises(ValueError, match=r"traced must be .* got"):
+        ToolPath((via,), robot, traced=traced)
+
+
 def test_via_points_of_the_tool(robot):
     q, place = trajectories(robot), np.array([0.3, 0.2, 0.1])
     cost = tool_path(robot, (4 / 11, 1.0), place, place)
