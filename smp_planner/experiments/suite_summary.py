@@ -14,7 +14,7 @@ Episode = dict[str, Line]
 
 _EPISODE = ("task", "family", "difficulty", "half", "seed")
 _GROUPS = {"task": TASKS, "family": FAMILIES}
-"""What tables have a column, or a line, for each of; in this order."""
+"""Names by which episodes can be grouped, in the order of a table's columns or lines."""
 _LEAST_P = 1e-4
 """p-values below it are printed as such."""
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from resampled_lines import piecewise_linear
 from scipy.spatial.transform import Rotation
 
 from smp_gym.datasets import lasa
@@ -75,12 +76,6 @@ def test_a_checkpoint_is_covered_up_to_six_centimetres_from_a_surface():
     ball = Obstacle(shape="sphere", position=(0.5, 0.1, 0.3), size=(0.05,) * 3)
     inside, near, far = np.array([[0.5, 0.1, 0.3], [0.5, 0.2, 0.3], [0.5, 0.1, 0.42]])
     assert covered(np.array([inside, near, far]), [ball]).tolist() == [True, True, False]
-
-
-def piecewise_linear(line, count):
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0.0, arc[-1], count)
-    return np.stack([np.interp(at, arc, axis) for axis in line.T], axis=-1)
 
 
 def test_equal_arc_is_interpolation_of_the_arc_also_where_the_pen_paused():

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from resampled_lines import piecewise_linear
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.env import ManipulationEnv
@@ -166,9 +167,7 @@ def test_the_plan_passes_free_of_obstacles_and_the_control_does_not(policy, prob
 
 def recorded(path):
     """A path as an episode records it, at `STROKE_POINTS` equal steps, the lines between cut."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    at = np.linspace(0.0, arc[-1], STROKE_POINTS)
-    points = np.stack([np.interp(at, arc, axis) for axis in path.T], axis=-1)
+    points = piecewise_linear(path, STROKE_POINTS)
     fine = np.linspace(0, STROKE_POINTS - 1, 4 * (STROKE_POINTS - 1) + 1)
     return np.stack([np.interp(fine, np.arange(STROKE_POINTS), axis) for axis in points.T], axis=-1)
 
