@@ -25,6 +25,7 @@ from smp_planner.benchmark.options import (
 from smp_planner.benchmark.results_folder import ResultsError
 from smp_planner.experiments.kept_results import kept_results
 from smp_planner.experiments.method_tuning import (
+    GRIDS,
     SPACES,
     cells_of,
     trial,
@@ -43,7 +44,17 @@ def main(
     ] = Path("results/tuning/trials.json"),
     tasks: Names = "",
     methods: Names = "",
-    candidates: Annotated[int, typer.Option(min=1, help="Of each method, on each task.")] = 30,
+    candidates: Annotated[
+        int | None, typer.Option(min=1, help="Of each method, on each task [30].")
+    ] = None,
+    second: Annotated[
+        bool,
+        typer.Option(
+            "--second",
+            help="Combine margins and widths of the settings as they are, on scenes of which every "
+            "second one is placed without a reference trajectory.",
+        ),
+    ] = False,
     difficulty: Annotated[str, typer.Option(help="Of the scenes.")] = "medium",
     scenes: Annotated[int, typer.Option(min=1, help="Of each task.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Of the first scene.")] = 30_000,
@@ -58,9 +69,15 @@ def main(
     one_of(difficulty, DIFFICULTIES, "--difficulty")
     seeds = tuning_seeds(seed, scenes)
     chosen_tasks = chosen_names(tasks, TASKS, "--tasks")
-    chosen = chosen_names(methods, tuple(SPACES), "--methods")
-    cells, console = cells_of(chosen_tasks, chosen, candidates, difficulty, seeds), Console()
-    terms = {"difficulty": difficulty, "seeds": [seeds[0], seeds[-1]]}
+    chosen = chosen_names(methods, tuple(GRIDS if second else SPACES), "--methods")
+    if second and candidates is not None:
+        raise typer.BadParameter(
+            f"goes without --second, whose candidates are given; got {candidates}",
+            param_hint="--candidates",
+        )
+    count = None if second else 30 if candidates is None else candidates
+    cells, console = cells_of(chosen_tasks, chosen, count, difficulty, seeds), Console()
+    terms = {"difficulty": difficulty, "seeds": [seeds[0], seeds[-1]], "second": second}
     by_name = {cell.name: cell for cell in cells}
     try:
         found = kept_results(out, terms, trial, by_name, "candidates", console, jobs)

@@ -5,6 +5,9 @@ drawn at random from a space of its own. All are tried in the same scenes, one p
 counts is how many scenes have a good particle, and among equals the share of particles that are
 good, by the planners' exact check; the physics takes no part. All methods of a task have the same
 `smooth_std` and as many tries, so that they start from one prior; neither is searched.
+
+A second search goes on from what the first one found: every combination of two settings of each
+method, on scenes of which every second one is placed without a reference trajectory.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -23,9 +27,11 @@ from rich.table import Table
 
 import smp_gym  # noqa: F401  (registers the environments)
 from smp_gym.registration import environment_id
+from smp_gym.sampling import place_without_witness
 from smp_planner.policy.planner_policy import PlannerPolicy
 
 __all__ = [
+    "GRIDS",
     "SPACES",
     "Cell",
     "candidate",
@@ -74,6 +80,19 @@ _STROKE: dict[str, tuple[Any, ...]] = {"via_share": (0.0, 0.25, 0.5)}
 """Further settings of methods that descend costs, on tasks with a stroke to follow."""
 
 
+_PRIOR_GRID: dict[str, tuple[Any, ...]] = {"margin": (0.0, 0.01), "widths": ((1.0,), (1.0, 2.0))}
+
+GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
+    "smp": _PRIOR_GRID,
+    "cpromp": _PRIOR_GRID,
+    "prompt_o": _PRIOR_GRID,
+    "promp_diff": _PRIOR_GRID,
+    "rrt_connect": {"margin": (0.001, 0.01), "posture_spread": (0.2, 0.4)},
+}
+"""Values of the settings that are combined in a second search, by method: how near to obstacles and
+how far from the demonstrations a method may be."""
+
+
 class Cell(NamedTuple):
     """One candidate of a method, to be tried in some scenes.
 
@@ -83,6 +102,7 @@ class Cell(NamedTuple):
         number: of the candidate; 0 are the method's settings as they are.
         difficulty: of the scenes.
         seeds: of the scenes.
+        second: whether it is of a second search, see `GRIDS`.
     """
 
     task: str
@@ -90,6 +110,7 @@ class Cell(NamedTuple):
     number: int
     difficulty: str
     seeds: range
+    second: bool = False
 
     @property
     def name(self) -> str:
@@ -97,13 +118,16 @@ class Cell(NamedTuple):
         return f"{self.task} {self.method} {self.number}"
 
 
-def candidate(task: str, method: str, number: int) -> dict[str, Any]:
+def candidate(task: str, method: str, number: int, *, second: bool = False) -> dict[str, Any]:
     """Return the settings of a method that a candidate has in place of the method's own.
 
     A candidate is a function of the arguments, so that more of them leave the first as they are.
     """
     if number == 0:
         return {}
+    if second:
+        grid = GRIDS[method]
+        return dict(zip(grid, list(product(*grid.values()))[number - 1], strict=True))
     space = SPACES[method]
     if task == "DrawS" and method != "rrt_connect":
         space = space | _STROKE
@@ -113,12 +137,22 @@ def candidate(task: str, method: str, number: int) -> dict[str, Any]:
 
 
 def cells_of(
-    tasks: Iterable[str], methods: Iterable[str], candidates: int, difficulty: str, seeds: range
+    tasks: Iterable[str],
+    methods: Iterable[str],
+    candidates: int | None,
+    difficulty: str,
+    seeds: range,
 ) -> list[Cell]:
-    """Return the cells of so many candidates of methods on tasks."""
+    """Return the cells of so many candidates of methods on tasks; with None, of a second search."""
+    if candidates is not None:
+        return [
+            Cell(task, method, number, difficulty, seeds)
+            for task, method, number in product(tasks, methods, range(candidates))
+        ]
     return [
-        Cell(task, method, number, difficulty, seeds)
-        for task, method, number in product(tasks, methods, range(candidates))
+        Cell(task, method, number, difficulty, seeds, second=True)
+        for task, method in product(tasks, methods)
+        for number in range(1 + math.prod(len(values) for values in GRIDS[method].values()))
     ]
 
 
@@ -130,12 +164,15 @@ def trial(cell: Cell) -> dict[str, Any]:
         are good and collision-free, and ``seconds`` of planning.
     """
     torch.set_num_threads(1)
-    settings = candidate(cell.task, cell.method, cell.number)
+    settings = candidate(cell.task, cell.method, cell.number, second=cell.second)
     env = gymnasium.make(environment_id(cell.task), difficulty=cell.difficulty)
     policy = PlannerPolicy.make(cell.method, cell.task, settings=settings)
     good, free, seconds = [], [], []
-    for seed in cell.seeds:
-        observation, _ = env.reset(seed=seed)
+    for place, seed in enumerate(cell.seeds):
+        options = {}
+        if cell.second and place % 2:
+            options = {"scene": place_without_witness(cell.task, cell.difficulty, seed)}
+        observation, _ = env.reset(seed=seed, options=options)
         _, (execution,) = policy.predict(observation, deterministic=True)
         plan = execution.plan
         good.append(float(plan.good.mean()) if len(plan.good) else 0.0)
