@@ -14,6 +14,8 @@ from functools import lru_cache
 import numpy as np
 from scipy import stats
 
+from smp_gym.arrays import FloatArray
+
 __all__ = [
     "CONFIDENCE",
     "Estimate",
@@ -82,6 +84,17 @@ def mean_interval(values: Sequence[float]) -> Estimate:
     return {"count": len(data), "value": mean, "low": low, "high": high}
 
 
+def _positive_pairs(first: Sequence[float], second: Sequence[float]) -> FloatArray:
+    """Return numerators and denominators (2, n) of ratios, checked."""
+    for name, values in (("first", first), ("second", second)):
+        numbers = np.asarray(values, np.float64)
+        if not (np.isfinite(numbers) & (numbers > 0.0)).all():
+            raise ValueError(f"{name} must be positive and finite, got {numbers.tolist()}")
+    if not len(first) == len(second) > 0:
+        raise ValueError(f"ratios need pairs, got {len(first)} of first, {len(second)} of second")
+    return np.array([first, second], np.float64)
+
+
 def ratio_interval(first: Sequence[float], second: Sequence[float]) -> Estimate:
     """Return the geometric mean of paired ratios with the interval of `mean_interval`.
 
@@ -92,12 +105,7 @@ def ratio_interval(first: Sequence[float], second: Sequence[float]) -> Estimate:
     Raises:
         ValueError: a number is not positive and finite, or there are not as many of both.
     """
-    above, below = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    for name, values in (("first", above), ("second", below)):
-        if not (np.isfinite(values) & (values > 0.0)).all():
-            raise ValueError(f"{name} must be positive and finite, got {values.tolist()}")
-    if above.shape != below.shape:
-        raise ValueError(f"ratios need pairs, got {len(above)} of first, {len(below)} of second")
+    above, below = _positive_pairs(first, second)
     logarithm = mean_interval(list(np.log(above / below)))
     ends = {name: math.exp(logarithm[name]) for name in ("value", "low", "high")}
     return {"count": logarithm["count"], **ends}
@@ -107,10 +115,13 @@ def ratio_of_means(first: Sequence[float], second: Sequence[float]) -> Estimate:
     """Return the ratio of two means with a percentile bootstrap interval, pairs drawn together.
 
     Args:
-        first: of the numerator, at least one.
+        first: of the numerator, at least one, positive.
         second: of the denominator, as many, positive.
+
+    Raises:
+        ValueError: as by `ratio_interval`.
     """
-    pairs = np.array([first, second], np.float64)
+    pairs = _positive_pairs(first, second)
     count = pairs.shape[1]
     drawn = np.random.default_rng(_BOOTSTRAP_SEED).integers(0, count, (_RATIO_RESAMPLES, count))
     above, below = pairs[:, drawn].mean(axis=-1)

@@ -15,6 +15,7 @@ from smp_planner.benchmark.statistics import (
     paired_difference,
     rate_interval,
     ratio_interval,
+    ratio_of_means,
 )
 
 BENTUR = PairedCounts(1, 1, 7, 12)
@@ -60,11 +61,30 @@ def test_ratios_have_geometric_means() -> None:
         ([1.0, 0.0], [1.0, 1.0], r"first must be positive and finite, got \[1.0, 0.0\]"),
         ([1.0], [math.inf], r"second must be positive and finite, got \[inf\]"),
         ([1.0, 2.0], [1.0], "2 of first, 1 of second"),
+        ([], [], "0 of first, 0 of second"),
     ],
 )
-def test_ratios_need_positive_pairs(first: list[float], second: list[float], message: str) -> None:
+@pytest.mark.parametrize("ratio", [ratio_interval, ratio_of_means])
+def test_ratios_need_positive_pairs(ratio, first, second, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        ratio_interval(first, second)
+        ratio(first, second)
+
+
+def test_a_ratio_of_means_has_the_interval_of_a_paired_bootstrap() -> None:
+    draw = np.random.default_rng(2)
+    below = draw.lognormal(0.0, 0.4, 30)
+    above = 1.3 * below * draw.lognormal(0.0, 0.2, 30)
+    estimate = ratio_of_means(above.tolist(), below.tolist())
+    assert estimate["count"] == 30
+    assert estimate["value"] == pytest.approx(above.sum() / below.sum())
+    other = stats.bootstrap(
+        (above, below),
+        lambda a, b, axis=-1: a.mean(axis) / b.mean(axis),
+        paired=True,
+        method="percentile",
+        rng=np.random.default_rng(3),
+    ).confidence_interval
+    assert (estimate["low"], estimate["high"]) == pytest.approx((other.low, other.high), rel=0.01)
 
 
 @pytest.mark.parametrize("values", [[3.0], [3.0, 3.0, 3.0]])

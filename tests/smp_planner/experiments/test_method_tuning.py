@@ -9,11 +9,14 @@ import pytest
 from rich.console import Console
 
 from smp_gym.assets import asset_path
+from smp_gym.sampling import place_without_witness
 from smp_gym.scene import TASKS
 from smp_planner.benchmark.manifest import code_digest
 from smp_planner.benchmark.results_folder import ResultsError
+from smp_planner.experiments import method_tuning
 from smp_planner.experiments.kept_results import kept_results
 from smp_planner.experiments.method_tuning import (
+    GRIDS,
     SPACES,
     Cell,
     candidate,
@@ -65,6 +68,34 @@ def test_a_budget_is_the_same_for_all_and_more_keeps_the_first():
     assert len(few) == 3 * len(SPACES)
     assert set(few) < set(more)
     assert len({cell.name for cell in more}) == len(more)
+
+
+@pytest.mark.parametrize("method", GRIDS)
+def test_a_second_search_combines_two_settings_of_each_method(method):
+    cells = cells_of(["PushLiftBox"], [method], None, "easy", range(2))
+    assert len(cells) == 5
+    tried = [candidate("PushLiftBox", method, cell.number, second=True) for cell in cells]
+    assert tried[0] == {}
+    (one, other) = GRIDS[method]
+    pairs = {(settings[one], settings[other]) for settings in tried[1:]}
+    assert pairs == {(a, b) for a in GRIDS[method][one] for b in GRIDS[method][other]}
+    for settings in tried:
+        make_planner(method, "PushLiftBox", settings=settings)
+
+
+def test_every_second_scene_of_a_second_search_has_no_reference_trajectory(monkeypatch):
+    placed = []
+
+    def place(task, difficulty, seed):
+        placed.append(seed)
+        return place_without_witness(task, difficulty, seed)
+
+    monkeypatch.setattr(method_tuning, "place_without_witness", place)
+    cell = Cell("Placement", "promp_diff", 1, "easy", range(10, 14), second=True)
+    found = trial(cell)
+    assert placed == [11, 13]
+    assert len(found["good"]) == 4
+    assert found["settings"] == candidate("Placement", "promp_diff", 1, second=True)
 
 
 def test_a_trial_counts_good_particles_by_scene():
