@@ -170,31 +170,69 @@ def test_results_of_other_terms_are_left_as_they_are(tmp_path):
         _kept(path, [1])
 
 
-def logged():
-    """Yield the rows of the search that is shipped, by task and method."""
-    with asset_path("results", "tuning.csv").open(newline="", encoding="utf-8") as file:
+def logged(name):
+    """Yield the rows of a search that is shipped, by task, method and number of scenes."""
+    with asset_path("results", name).open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    for key, members in groupby(rows, lambda row: (row["task"], row["method"])):
+    for key, members in groupby(rows, lambda row: (row["task"], row["method"], row["scenes"])):
         yield key, list(members)
+
+
+def _best(members):
+    """Return the best row, or the first where that is better by a hundredth of the particles."""
+    own = members[0]
+    best = max(members, key=lambda row: (int(row["solved"]), float(row["good"])))
+    margin = float(best["good"]) - float(own["good"])
+    return own if best["solved"] == own["solved"] and margin < 0.01 else best
+
+
+def _settings_of(method, task):
+    return json.loads(json.dumps(make_planner(method, task).settings))
 
 
 def test_methods_are_set_to_the_best_of_as_many_candidates_each():
     """But where that is better by a hundredth of the particles at most, which chance may be."""
-    found = set()
-    for (task, method), members in logged():
+    found, twice = set(), {(task, method) for (task, method, _), _ in logged("tuning_second.csv")}
+    for (task, method, _), members in logged("tuning.csv"):
         found.add((task, method))
         assert [int(row["candidate"]) for row in members] == list(range(30))
-        own = members[0]
-        best = max(members, key=lambda row: (int(row["solved"]), float(row["good"])))
-        margin = float(best["good"]) - float(own["good"])
-        if best["solved"] == own["solved"] and margin < 0.01:
-            continue
+        best = _best(members)
         settings = json.loads(best["settings"])
         assert settings == json.loads(json.dumps(candidate(task, method, int(best["candidate"]))))
-        taken = json.loads(json.dumps(make_planner(method, task).settings))
+        if (task, method) in twice:
+            settings = {name: settings[name] for name in settings if name not in GRIDS[method]}
+        taken = _settings_of(method, task)
         assert taken | settings == taken
     methods = set(SPACES) - {"cpromp_chance"}
     assert found == {(task, method) for task in TASKS for method in methods}
+
+
+def test_margins_and_widths_of_push_lift_box_are_those_of_the_second_search():
+    """Those of `smp`, of which two were alike, in the scenes of both of its searches."""
+    tried = {}
+    for (task, method, scenes), members in logged("tuning_second.csv"):
+        assert task == "PushLiftBox"
+        assert len(members) == 5
+        for row in members:
+            number = int(row["candidate"])
+            given = json.loads(json.dumps(candidate(task, method, number, second=True)))
+            assert json.loads(row["settings"]) == given
+            tried.setdefault(method, {}).setdefault(int(scenes), []).append(row)
+    assert set(tried) == set(GRIDS)
+    for method, searches in tried.items():
+        assert set(searches) == ({24, 40} if method == "smp" else {24})
+        pooled = [
+            {
+                "settings": rows[0]["settings"],
+                "solved": str(sum(int(row["solved"]) for row in rows)),
+                "good": str(
+                    sum(int(row["scenes"]) * float(row["good"]) for row in rows) / sum(searches)
+                ),
+            }
+            for rows in zip(*searches.values(), strict=True)
+        ]
+        settings, taken = json.loads(_best(pooled)["settings"]), _settings_of(method, "PushLiftBox")
+        assert taken | settings == taken
 
 
 def test_a_log_holds_what_trials_came_to():
