@@ -1,11 +1,11 @@
 """`mp_rl` and its kin: planners whose proposals a learned policy makes, in one look at the scene.
 
-They start from the primitive of `smp`, have as many tries as it has particles, and choose the best
-by the same exact check: the first proposal is the policy's mean action, the others are drawn from
-it (`smp_planner.planners.bump_policy`). Nothing is adapted to the scene. `mp_rl_physics` is `mp_rl`
-with another reward in training, that of the physics; `detour` does not see the scene. The network
-sees rows of obstacles; where a depth camera's points are observed in their place, it sees none, and
-proposals are only checked against them.
+They start from the primitive of `smp`, propose as many trajectories as it has particles, have as
+many tries, and choose the best by the same exact check: the first proposal is the policy's mean
+action, the others are drawn from it (`smp_planner.planners.bump_policy`). Nothing is adapted to the
+scene. `mp_rl_physics` is `mp_rl` with another reward in training, that of the physics; `detour`
+does not see the scene. The network sees rows of obstacles; where a depth camera's points are
+observed in their place, it sees none, and proposals are only checked against them.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from pydantic import ConfigDict, create_model
+from torch import Tensor
 
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_gym.robot.kinematics import UnreachableError
 from smp_planner.planners.agent_file import read_agent
-from smp_planner.planners.bump_policy import look, stacked
+from smp_planner.planners.bump_policy import ActionDistribution, look, stacked
 from smp_planner.planners.card_file import shipped_agent
 from smp_planner.planning.assessment import make_plan
 from smp_planner.planning.bumps import BumpedMean, bump_phases, bumped_mean
@@ -31,6 +32,7 @@ from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings, PriorSettings
 from smp_planner.planning.stopwatch import Stopwatch
+from smp_planner.planning.tries import Try, tries
 from smp_planner.strict_settings import StrictSettings
 from smp_planner.torch_threads import one_thread
 
@@ -46,8 +48,9 @@ class ProposalSettings(StrictSettings):
     Attributes:
         agent: path of an agent's card (`smp_planner.planners.agent_file`); empty for the one that
             is shipped for the task.
-        action: "best" proposes as many trajectories as `PlanSettings.particles` says; "mean" the
-            policy's mean action alone.
+        action: "best" proposes as many trajectories as `PlanSettings.particles` says, and more, at
+            last of a wider spread, as long as none is good (`smp_planner.planning.tries`); "mean"
+            the policy's mean action alone.
     """
 
     agent: str = ""
@@ -140,32 +143,61 @@ class BumpPlanner:
         return [self._plan(problem) for problem in problems]
 
     def _plan(self, problem: Problem) -> Plan:
+        """Return the plan of the first try with a good proposal, or of the first of all."""
         stopwatch, settings = Stopwatch(), self._plan_settings
+        generator = torch.Generator().manual_seed(problem.seed % 2**63)
+        plan: Plan | None = None
         with one_thread():
             with stopwatch.stage("conditioning"):
                 reached = self._reached(problem)
             with stopwatch.stage("inference"):
-                side, numbers = self._propose(problem, reached)
-                count = len(numbers)
-                trajectories = np.empty((count, settings.samples, self.prior.single.dimension))
-                weights = np.empty((count, self.prior.single.mean.shape[-1]))
-                surprise = np.empty(count)
-                for component in np.unique(side):
-                    chosen, mean = side == component, reached[component]
-                    trajectories[chosen] = mean.trajectories(numbers[chosen])
-                    weights[chosen] = mean.weights(numbers[chosen]).numpy()
-                    surprise[chosen] = mean.surprise(numbers[chosen])
-            with stopwatch.stage("verification"):
-                plan = make_plan(
-                    problem,
-                    trajectories,
-                    {"prior": surprise},
-                    settings,
-                    weights=weights.reshape(count, -1, self.prior.single.dimension),
-                    components=side if len(self.prior.used.components) > 1 else None,
-                    reason="no proposal is good",
-                )
+                found = self._distribution(problem, reached)
+            ahead = tries(settings, compete=True)
+            if self._proposals.action == "mean":
+                ahead = [Try(1, 1.0)]
+            for number, (count, width) in enumerate(ahead):
+                with stopwatch.stage("inference"):
+                    wider = found._replace(std=width * found.std)
+                    side, action = _drawn(wider, count, generator, mean_first=number == 0)
+                    numbers = (action * self._policy.scale)[0].numpy().astype(np.float64)
+                    proposals = np.array(list(reached))[side[0].numpy()], numbers
+                tried = self._checked(problem, reached, *proposals, stopwatch)
+                if plan is None or tried.solved:
+                    plan = tried
+                if plan.solved:
+                    break
+        assert plan is not None
         return plan.changed(timings=stopwatch.timings)
+
+    def _checked(
+        self,
+        problem: Problem,
+        reached: Mapping[int, BumpedMean],
+        side: IntArray,
+        numbers: FloatArray,
+        stopwatch: Stopwatch,
+    ) -> Plan:
+        """Return the plan of proposals: components (P,) and numbers (P, F) on their means."""
+        count, settings = len(numbers), self._plan_settings
+        with stopwatch.stage("inference"):
+            trajectories = np.empty((count, settings.samples, self.prior.single.dimension))
+            weights = np.empty((count, self.prior.single.mean.shape[-1]))
+            surprise = np.empty(count)
+            for component in np.unique(side):
+                chosen, mean = side == component, reached[component]
+                trajectories[chosen] = mean.trajectories(numbers[chosen])
+                weights[chosen] = mean.weights(numbers[chosen]).numpy()
+                surprise[chosen] = mean.surprise(numbers[chosen])
+        with stopwatch.stage("verification"):
+            return make_plan(
+                problem,
+                trajectories,
+                {"prior": surprise},
+                settings,
+                weights=weights.reshape(count, -1, self.prior.single.dimension),
+                components=side if len(self.prior.used.components) > 1 else None,
+                reason="no proposal is good",
+            )
 
     def _reached(self, problem: Problem) -> dict[int, BumpedMean]:
         """Return the conditioned means of the components that reach a goal, by their index."""
@@ -180,21 +212,24 @@ class BumpPlanner:
             raise UnreachableError("no component of the primitive reaches a goal")
         return found
 
-    def _propose(
+    def _distribution(
         self, problem: Problem, reached: Mapping[int, BumpedMean]
-    ) -> tuple[IntArray, FloatArray]:
-        """Return components (P,) and numbers (P, F) of proposals, the mean action first."""
-        generator = torch.Generator().manual_seed(problem.seed % 2**63)
+    ) -> ActionDistribution:
+        """Return the distribution of actions on the means that reach a goal, of a batch of one."""
         seen = look(list(reached.values()), problem.movable)
         with torch.no_grad():
-            found = self._policy(stacked([seen]), list(reached))
-            likeliest = found.choice.argmax(dim=1, keepdim=True)
-            action = torch.take_along_dim(found.mean, likeliest[..., None], 1)
-            side = likeliest
-            if self._proposals.action == "best" and self._plan_settings.particles > 1:
-                others = found.sample(self._plan_settings.particles - 1, generator)
-                side, action = (
-                    torch.cat(pair, 1) for pair in zip((side, action), others, strict=True)
-                )
-            numbers = (action * self._policy.scale)[0].numpy().astype(np.float64)
-        return np.array(list(reached))[side[0].numpy()], numbers
+            return self._policy(stacked([seen]), list(reached))
+
+
+def _drawn(
+    found: ActionDistribution, count: int, generator: torch.Generator, *, mean_first: bool
+) -> tuple[Tensor, Tensor]:
+    """Return `count` components (1, N) and actions (1, N, F), perhaps the mean action first."""
+    parts = []
+    if mean_first:
+        likeliest = found.choice.argmax(dim=1, keepdim=True)
+        parts.append((likeliest, torch.take_along_dim(found.mean, likeliest[..., None], 1)))
+    if count > len(parts):
+        parts.append(found.sample(count - len(parts), generator))
+    side, action = (torch.cat(each, 1) for each in zip(*parts, strict=True))
+    return side, action

@@ -16,8 +16,8 @@ class Try(NamedTuple):
     """A try of a problem.
 
     Attributes:
-        particles: that are adapted.
-        width: factor of the prior's added standard deviation.
+        particles: that are adapted, or proposals that are drawn.
+        width: factor of the prior's added standard deviation, or of that of proposals.
     """
 
     particles: int
