@@ -1,0 +1,52 @@
+"""Learned proposals: the mean action, draws around it, and further tries while none is good."""
+
+import numpy as np
+import pytest
+
+from smp_gym.sampling import sample_scene
+from smp_planner.agents.posed_scenes import posed
+from smp_planner.planners import make_planner
+
+FIRST, SECOND, THIRD, NEVER = 74201, 74207, 74204, 74210
+"""Tuning seeds of Placement at easy, by the try of `mp_rl` that has a good proposal."""
+
+
+def plan(seed, **settings):
+    (problem,) = posed([sample_scene("Placement", "easy", seed)])
+    (found,) = make_planner("mp_rl", "Placement", settings=settings).plan([problem])
+    return found
+
+
+@pytest.mark.parametrize(("seed", "tries", "count"), [(FIRST, 1, 42), (SECOND, 2, 168)])
+def test_it_tries_again_only_while_no_proposal_is_good(seed, tries, count):
+    found = plan(seed)
+    assert found.solved
+    assert found.trajectories.shape[0] == count
+    enough = plan(seed, retries=tries - 1)
+    np.testing.assert_array_equal(enough.trajectories, found.trajectories)
+    if tries > 1:
+        fewer = plan(seed, retries=tries - 2)
+        assert not fewer.solved
+        assert fewer.trajectories.shape[0] == 42
+
+
+def test_of_tries_that_all_fail_the_first_is_taken():
+    found, once = plan(NEVER), plan(NEVER, retries=0)
+    assert not found.solved
+    np.testing.assert_array_equal(found.trajectories, once.trajectories)
+
+
+def test_the_last_try_spreads_twice_as_far_around_the_mean_action():
+    mean = plan(THIRD, action="mean").trajectories
+    assert mean.shape[0] == 1
+    once, last = (plan(THIRD, retries=retries).trajectories for retries in (0, 2))
+    np.testing.assert_allclose(once[:1], mean)
+    spread = [np.sqrt(np.mean((paths - mean) ** 2)) for paths in (once[1:], last)]
+    assert spread[1] / spread[0] == pytest.approx(2.0, rel=0.15)
+
+
+def test_the_mean_action_alone_has_one_try():
+    found = plan(SECOND, action="mean")
+    assert found.trajectories.shape[0] == 1
+    one = plan(SECOND, particles=1, retries=0)
+    np.testing.assert_array_equal(one.trajectories, found.trajectories)
