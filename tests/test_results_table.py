@@ -179,9 +179,32 @@ def test_what_is_said_of_plans_by_the_recorded_stroke_is_counted(rows):
     assert own.pop("rrt_connect") == [9, 0]
     assert own.pop("prompt_o") == [8, 6]
     assert own.pop("promp_diff") == [0, 1]
-    del own["mp_rl"]
+    # These have other agents and further tries since.
+    del own["mp_rl"], own["detour"]
     assert not any(map(any, own.values()))
     assert "`smp` now solves 3 that it did not and 1 not that it did, `cpromp` 7 and 1" in text
+
+
+def test_what_is_said_of_the_second_search_and_of_further_tries_is_counted(rows):
+    now = {(row["method"], row["task"], *_place(row)): int(row["success"]) for row in rows}
+    before, after, gained, lost = Counter(), Counter(), Counter(), Counter()
+    for row in shipped("standard_dbcbc15.csv.gz"):
+        old, new = int(row["success"]), now[row["method"], row["task"], *_place(row)]
+        before[row["method"]] += old
+        after[row["method"]] += new
+        gained[row["method"]] += new > old
+        lost[row["method"]] += new < old
+    text = " ".join(page("docs/results.md").split())
+    for method in ("smp", "cpromp", "rrt_connect"):
+        assert re.search(rf"`{method}`[^.]*? {gained[method]} [^.]*?\b{lost[method]}\b", text)
+    assert lost["mp_rl"] == lost["detour"] == 0
+    told = "`{}` solves {} episodes where it solved {}"
+    assert told.format("mp_rl", after["mp_rl"], before["mp_rl"]) in text
+    assert f"and `detour` {after['detour']} where it solved {before['detour']}" in text
+
+
+def _place(row):
+    return row["difficulty"], row["half"], row["seed"]
 
 
 SPEEDS = {"easy": "5 cm/s", "medium": "10 cm/s", "hard": "20 cm/s"}
