@@ -143,13 +143,14 @@ def test_what_is_said_of_older_code_is_counted(rows):
     assert alone in text
     assert f"That is {sum(new.values())} of 1200" in text
     told = {
-        "cpromp": "0 : 4",
+        "cpromp": "1 : 5",
         "promp_diff": "11 : 2",
         "prompt_o": "1 : 4",
-        "rrt_connect": "0 : 2",
-        "mp_rl": "1 : 23",
+        "rrt_connect": "3 : 12",
+        "detour": "0 : 26",
+        "mp_rl": "0 : 37",
     }
-    for method in (*told, "detour", "promp"):
+    for method in (*told, "promp"):
         pairs = [
             (won, outcomes["new"][key])
             for key, won in outcomes["old"].items()
