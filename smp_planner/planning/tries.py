@@ -34,7 +34,7 @@ def tries(settings: PlanSettings, *, compete: bool) -> list[Try]:
 
     Args:
         settings: number of particles and of further tries.
-        compete: whether particles are adapted as one population.
+        compete: whether particles are adapted as one population, or are proposals, not adapted.
     """
     count, numbers = settings.particles, range(settings.retries + 1)
     if not compete:
