@@ -5,7 +5,7 @@ import pytest
 from printed_tables import TASKS, lines_of, page, shipped
 
 from smp_planner.benchmark.statistics import mean_interval
-from smp_planner.experiments.set_summary import ratio_table, ratio_to_floor
+from smp_planner.experiments.set_summary import ratio_table, ratio_to_floor, set_table
 
 MEASURES = {
     "good": 0.5,
@@ -100,6 +100,24 @@ def test_the_earlier_sets_say_the_same(sets):
         assert "{value:.2f} ({low:.2f}–{high:.2f})".format(**ratio) in whole
     chosen = [float(row["chosen"]) for row in sets[0] if row["method"] == "smp"]
     assert f"successful in {sum(chosen) / 100:.0f} of 100 scenes" in whole
+
+
+def test_sets_of_push_lift_box_after_the_second_search_are_those_of_their_rows():
+    rows = shipped("frozen_sets_push_lift_box.csv.gz")
+    assert {int(row["seed"]) for row in rows} == set(range(25, 50))
+    ratios = dict(ratio_table(rows)[1:])
+    lines = {
+        method: cells
+        for method, *cells in lines_of("docs/arm.md", "of after the second search", "### Sides")
+        if "·" in cells[0]
+    }
+    expected = {method: [cell, ratios.get(method, "–")] for method, cell in set_table(rows)[1:]}
+    assert lines == expected
+    chosen = {
+        method: sum(float(row["chosen"]) > 0.0 for row in rows if row["method"] == method)
+        for method in ("smp", "cpromp", "rrt_connect")
+    }
+    assert chosen == {"smp": 25, "cpromp": 20, "rrt_connect": 14}
 
 
 @pytest.fixture(scope="module")
