@@ -75,7 +75,7 @@ def main(
             f"goes without --second, whose candidates are given; got {candidates}",
             param_hint="--candidates",
         )
-    count = None if second else 30 if candidates is None else candidates
+    count = None if second else candidates or 30
     cells, console = cells_of(chosen_tasks, chosen, count, difficulty, seeds), Console()
     terms = {"difficulty": difficulty, "seeds": [seeds[0], seeds[-1]], "second": second}
     by_name = {cell.name: cell for cell in cells}

@@ -129,8 +129,7 @@ def test_what_is_said_of_older_code_is_counted(rows):
     outcomes = {"old": {}, "new": {}}
     for name, table in (("old", shipped("standard_5a6c30d.csv.gz")), ("new", rows)):
         for row in table:
-            episode = row["task"], row["difficulty"], row["half"], row["seed"]
-            outcomes[name][(row["method"], *episode)] = int(row["success"])
+            outcomes[name][_episode(row)] = int(row["success"])
     text = " ".join(page("docs/results.md").split())
     old, new = (
         {key[1:]: won for key, won in outcomes[name].items() if key[0] == "smp"}

@@ -15,7 +15,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -126,14 +125,19 @@ def candidate(task: str, method: str, number: int, *, second: bool = False) -> d
     if number == 0:
         return {}
     if second:
-        grid = GRIDS[method]
-        return dict(zip(grid, list(product(*grid.values()))[number - 1], strict=True))
+        return _combinations(method)[number - 1]
     space = SPACES[method]
     if task == "DrawS" and method != "rrt_connect":
         space = space | _STROKE
     rng = np.random.default_rng([number, *f"{task} {method}".encode()])
     drawn = {name: values[rng.integers(len(values))] for name, values in space.items()}
     return drawn | drawn.pop("basis", {})
+
+
+def _combinations(method: str) -> list[dict[str, Any]]:
+    """Return all settings of a method's grid."""
+    grid = GRIDS[method]
+    return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
 
 
 def cells_of(
@@ -144,15 +148,10 @@ def cells_of(
     seeds: range,
 ) -> list[Cell]:
     """Return the cells of so many candidates of methods on tasks; with None, of a second search."""
-    if candidates is not None:
-        return [
-            Cell(task, method, number, difficulty, seeds)
-            for task, method, number in product(tasks, methods, range(candidates))
-        ]
     return [
-        Cell(task, method, number, difficulty, seeds, second=True)
+        Cell(task, method, number, difficulty, seeds, second=candidates is None)
         for task, method in product(tasks, methods)
-        for number in range(1 + math.prod(len(values) for values in GRIDS[method].values()))
+        for number in range(candidates or 1 + len(_combinations(method)))
     ]
 
 

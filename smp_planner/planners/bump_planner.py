@@ -159,9 +159,9 @@ class BumpPlanner:
                 with stopwatch.stage("inference"):
                     wider = found._replace(std=width * found.std)
                     side, action = _drawn(wider, count, generator, mean_first=number == 0)
+                    components = np.array(list(reached))[side[0].numpy()]
                     numbers = (action * self._policy.scale)[0].numpy().astype(np.float64)
-                    proposals = np.array(list(reached))[side[0].numpy()], numbers
-                tried = self._checked(problem, reached, *proposals, stopwatch)
+                tried = self._checked(problem, reached, components, numbers, stopwatch)
                 if plan is None or tried.solved:
                     plan = tried
                 if plan.solved:
