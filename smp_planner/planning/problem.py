@@ -259,7 +259,7 @@ def arm_problem(
         Exactly("rest at the end", 1.0, rest, derivative=True),
     ]
     if via_poses:
-        constraints.append(Poses(via_poses))
+        constraints.append(Poses(via_poses, model))
     if via_points:
         constraints.append(ToolPath(via_points, model, traced=traced))
     constraints.append(Reaching(goals, model))

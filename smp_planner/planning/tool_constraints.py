@@ -14,7 +14,7 @@ from smp_gym.geometry.polylines import equal_arc_chords
 from smp_planner.collision.costs import Cost, ValueAndGradient
 from smp_planner.collision.robot_model import RobotModel
 from smp_planner.movement_primitives import ProMP
-from smp_planner.planning.constraints import mixture_weights
+from smp_planner.planning.constraints import at_phases, mixture_weights
 from smp_planner.planning.postures import final_posture, pose_chain
 from smp_planner.planning.settings import PlanSettings
 from smp_planner.planning.tool_box_cost import ToolBoxCost
@@ -30,6 +30,13 @@ POSTURE_STD = 0.1
 
 VIA_POSE_STD = 0.002
 """Standard deviation, rad, with which the primitive is conditioned on a via-pose."""
+
+POSE_TOLERANCE = 0.02
+"""Distance, m, from its place in a via-pose up to which a point of the hand's frame has taken it: twice
+what conditioned particles have been seen to miss."""
+
+_POSE_POINTS = 0.1 * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+"""(4, 3) m, points of the hand's frame whose places make up a pose."""
 
 VIA_STD = 0.02
 """Standard deviation, m, with which the primitive is conditioned on via-points of the tool."""
@@ -274,10 +281,12 @@ class Poses:
 
     Attributes:
         via_poses: at least one, in the order of their phases.
+        robot: whose hand it is.
         name: what the user calls it.
     """
 
     via_poses: tuple[ViaPose, ...]
+    robot: RobotModel
     name: str = "via_poses"
 
     @property
@@ -306,9 +315,20 @@ class Poses:
         return None
 
     def missed(self, trajectories: FloatArray) -> FloatArray:
-        """Return zeros (P,): particles take the poses as the primitive does."""
-        return np.zeros(len(trajectories))
+        """Return by how much (P,) m the hand misses a pose, less `POSE_TOLERANCE`.
+
+        That is the largest distance of a point of its frame, the origin or one 0.1 m along an axis,
+        from where it is in the pose.
+        """
+        due = np.ascontiguousarray(at_phases(trajectories, self.phases))
+        poses = np.stack([via.pose for via in self.via_poses])
+        worst = np.zeros(len(trajectories))
+        for point in _POSE_POINTS:
+            asked = poses[:, :3, :3] @ point + poses[:, :3, 3]
+            away = np.linalg.norm(self.robot.carried_points(due, point)[0] - asked, axis=-1)
+            worst = np.maximum(worst, away.max(axis=1))
+        return worst - POSE_TOLERANCE
 
     def slack(self, settings: PlanSettings) -> float:
-        """Return 0."""
+        """Return 0: the tolerance is that of all poses."""
         return 0.0

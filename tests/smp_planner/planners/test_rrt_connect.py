@@ -16,6 +16,7 @@ from smp_planner.collision.verification import check_collisions, verify
 from smp_planner.planners import make_planner
 from smp_planner.planners.rrt_connect.planner import RRTConnectSettings
 from smp_planner.planning.ranking import SAFE_CLEARANCE
+from smp_planner.planning.tool_constraints import Poses
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import checkpoint_phases, problem_from
 from smp_planner.policy.planner_policy import PlannerPolicy
@@ -267,6 +268,24 @@ def test_via_poses_are_taken_when_they_are_due(lifting):
     # The hand closes at rest.
     speed = np.abs(np.diff(plan.trajectories, axis=1)).max(axis=2)
     assert speed[:, end - 1 : end + 1].max() < 0.1 * speed.max()
+
+
+def test_where_no_path_takes_the_via_poses_the_straight_one_is_not_good(lifting):
+    _, problem = lifting
+    free = replace(problem, stages=tuple(replace(s, obstacles=()) for s in problem.stages))
+    # The poses are reached by no chain of configurations, whose joints turn on between them.
+    (poses,) = (each for each in free.constraints if isinstance(each, Poses))
+    backwards = [
+        replace(via, pose=via.pose @ np.diag([-1.0, -1.0, 1.0, 1.0])) if k % 2 else via
+        for k, via in enumerate(poses.via_poses)
+    ]
+    turned = replace(poses, via_poses=tuple(backwards))
+    constraints = tuple(turned if each is poses else each for each in free.constraints)
+    planner = make_planner("rrt_connect", "PushLiftBox", settings={"particles": 1, "iterations": 1})
+    (plan,) = planner.plan([replace(free, constraints=constraints)])
+    assert plan.message.startswith("0 of 1 searches")
+    assert plan.collision_free.all() and plan.executable.all()
+    assert not plan.passing.any() and not plan.good.any()
 
 
 def test_a_policy_draws_and_a_policy_lifts(lifting, lifted, drawn):

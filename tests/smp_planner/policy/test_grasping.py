@@ -12,7 +12,9 @@ from smp_gym.robot.kinematics import JOINT_VELOCITY, arm_spheres, end_effector_p
 from smp_gym.scene import TABLE, Goal, Obstacle
 from smp_gym.tasks.push_lift_box.rules import HAND_HEIGHT, OBJECT_BEHIND, PUSH_LENGTH
 from smp_planner.planners import make_planner
+from smp_planner.planning.assessment import assess
 from smp_planner.planning.problem import arm_stage
+from smp_planner.planning.tool_constraints import Poses
 from smp_planner.planning.tool_goals import ViaPose
 from smp_planner.policy.grasping import learn_grasping
 from smp_planner.policy.observed_problem import problem_from
@@ -112,6 +114,31 @@ def test_plans_pass_the_via_poses(posed):
         hands = end_effector_pose(plan.trajectories[:, round(via.phase * last)])
         assert np.linalg.norm(hands[:, :3, 3] - via.pose[:3, 3], axis=1).max() < 0.01
     assert plan.good.any()
+
+
+def test_a_trajectory_past_the_via_poses_does_not_meet_the_constraints(posed):
+    _, problem = posed
+    planner = make_planner("promp", "PushLiftBox")
+    (plan,) = planner.plan([problem])
+    (taken,) = plan.trajectories[[plan.chosen]]
+    straight = np.linspace(taken[0], taken[-1], len(taken))
+    bent, turned = taken.copy(), taken.copy()
+    due = round(problem.via_poses[2].phase * (len(taken) - 1))
+    bent[due, 0] += 0.05  # moves the hand by centimetres
+    turned[due, -1] += 0.3  # turns it about its own axis, and moves it not at all
+    paths = np.stack([taken, straight, bent, turned])
+    (poses,) = (each for each in problem.constraints if isinstance(each, Poses))
+    frame = np.concatenate([np.eye(3) * 0.1, np.zeros((3, 1))], axis=1)
+    away = [
+        np.linalg.norm((pose - via.pose)[:3, :3] @ frame + (pose - via.pose)[:3, 3:], axis=0).max()
+        for via in problem.via_poses
+        for pose in end_effector_pose(paths[:, round(via.phase * (len(taken) - 1))])
+    ]
+    expected = np.reshape(away, (-1, len(paths))).max(axis=0) - 0.02
+    assert poses.missed(paths) == pytest.approx(expected, abs=1e-9)
+    verdict = assess(problem, paths, planner.plan_settings)
+    assert verdict.passing.tolist() == [True, False, False, False]
+    assert not verdict.good[1:].any()
 
 
 def test_an_obstacle_in_the_way_of_the_carried_box_alone_is_seen(posed):
