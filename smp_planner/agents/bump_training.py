@@ -3,8 +3,9 @@
 An action is an episode's whole trajectory (Kober, Oztop and Peters 2011; Otto et al. 2022, "Deep
 Black-Box Reinforcement Learning with Movement Primitives"): bumps on the conditioned mean. In every
 iteration a batch of scenes is drawn, 16 actions are drawn in each, and the policy follows the
-clipped gradient of Schulman et al. 2017 (Eq. (7)), the advantage of an action being its reward less
-the mean of its scene. The reward is that of the planners' check, or, of `mp_rl_physics`, that of an
+clipped gradient of Schulman et al. 2017 (Eq. (7)). The planner executes the best of what is
+proposed, so the advantage of an action can be what it adds to the best of several (`advantages`),
+and the policy can have several heads, which learn to be different. The reward is that of the planners' check, or, of `mp_rl_physics`, that of an
 episode in the physics, see `smp_planner.agents.trajectory_rewards`.
 
 To descend the costs that `smp` descends first, whose derivative by an action is known, comes to
@@ -34,7 +35,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
+from scipy.special import comb
 
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.atomic_files import write_text
@@ -71,7 +73,7 @@ from smp_planner.planning.problem import Problem
 from smp_planner.strict_settings import StrictSettings
 from smp_planner.torch_threads import one_thread
 
-__all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "clipped_loss"]
+__all__ = ["BumpSettings", "BumpTraining", "CurvePoint", "advantages", "clipped_loss"]
 
 FIRST_SEED = 40_000
 """Tuning seed of the first training scene of a training with seed 0."""
@@ -85,6 +87,8 @@ class BumpSettings(StrictSettings):
 
     Attributes:
         bumps: on the mean of each joint.
+        heads: Gaussians of the policy for each component of the prior.
+        best_of: number of proposals whose best counts, see `advantages`.
         scenes: training scenes.
         batch: scenes of an iteration.
         rollouts: actions in each.
@@ -101,6 +105,8 @@ class BumpSettings(StrictSettings):
     """
 
     bumps: int = Field(default=4, ge=1, le=50)
+    heads: int = Field(default=1, ge=1, le=100)
+    best_of: int = Field(default=1, ge=1)
     scenes: int = Field(default=240, ge=1)
     batch: int = Field(default=48, ge=1)
     rollouts: int = Field(default=16, ge=2)
@@ -112,6 +118,14 @@ class BumpSettings(StrictSettings):
     shift: float = Field(default=0.015, ge=0.0, allow_inf_nan=False)
     exchanged: float = Field(default=0.3, ge=0.0, le=1.0)
     reward: RewardName = "check"
+
+    @model_validator(mode="after")
+    def _enough(self) -> BumpSettings:
+        if self.best_of > self.rollouts:
+            raise ValueError(
+                f"best_of must be at most rollouts, {self.rollouts}, got {self.best_of}"
+            )
+        return self
 
     def rate(self, iteration: int) -> float:
         """Return the learning rate of an iteration."""
@@ -170,9 +184,36 @@ class _Place(NamedTuple):
         return paths
 
 
+def advantages(reward: FloatArray, best_of: int = 1) -> FloatArray:
+    """Return the advantages (B, N) of N actions in each scene, scaled to a root mean square of 1.
+
+    With 1, the reward less its mean in the scene. With k > 1, what an action adds to the greatest
+    reward of k proposals: the mean over all choices of k of the N that hold it, of their greatest
+    reward less that of the k - 1 others. It is above 0 for what is the best of some choice, and so
+    its gradient is that of the expected greatest reward (Walder & Karkhanis 2025, "Pass@K Policy
+    Optimization"): what is good alone in its scene counts most, and what all do counts nothing.
+
+    Args:
+        reward: (B, N).
+        best_of: k, at most N.
+    """
+    if best_of == 1:
+        found = reward - reward.mean(axis=1, keepdims=True)
+    else:
+        order = reward.argsort(axis=1)
+        ascending = np.take_along_axis(reward, order, axis=1)
+        count = reward.shape[1]
+        # Choices whose second best is the j-th of the ascending order, of those that hold another.
+        second = comb(np.arange(count), best_of - 2) / comb(count - 1, best_of - 1)
+        gain = ascending * np.cumsum(second) - np.cumsum(second * ascending, axis=1)
+        found = np.empty_like(reward)
+        np.put_along_axis(found, order, gain, axis=1)
+    return np.asarray(found / (np.sqrt(np.square(found).mean()) + 1e-6))
+
+
 def clipped_loss(
     found: ActionDistribution,
-    component: torch.Tensor,
+    gaussian: torch.Tensor,
     action: torch.Tensor,
     before: torch.Tensor,
     advantage: torch.Tensor,
@@ -182,13 +223,13 @@ def clipped_loss(
 
     Args:
         found: the present distribution in B scenes.
-        component: (B, N) of the actions that were drawn.
+        gaussian: (B, N) of the actions that were drawn.
         action: (B, N, F).
         before: (B, N) log-density with which they were drawn.
         advantage: (B, N).
         clip: ε.
     """
-    ratio = (found.log_prob(component, action) - before).exp()
+    ratio = (found.log_prob(gaussian, action) - before).exp()
     return -torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
 
 
@@ -235,7 +276,9 @@ class BumpTraining:
         self._rewards = make_rewards(settings.reward, task)
         torch.manual_seed(seed)
         actions = settings.bumps * self._planner.prior.single.dimension
-        shape = NetworkShape(actions, len(self._components), agent != "detour")
+        shape = NetworkShape(
+            actions, len(self._components), agent != "detour", heads=settings.heads
+        )
         self.policy = BumpPolicy(shape, settings.std)
         self._optimiser = torch.optim.Adam(self.policy.parameters(), settings.learning_rate)
         self.iteration, self.trajectories, self.cpu_seconds = 0, 0, 0.0
@@ -264,8 +307,9 @@ class BumpTraining:
             raise ValueError("problem must have a goal within reach of all components")
         with torch.no_grad():
             found = self.policy(stacked([look(means, problem.movable)]))
-            side = int(found.choice[0].argmax())
-            numbers = (found.mean[0, side] * self.policy.scale).numpy().astype(np.float64)
+            likeliest = int(found.choice[0].argmax())
+            numbers = (found.mean[0, likeliest] * self.policy.scale).numpy().astype(np.float64)
+        side = likeliest // self.policy.shape.heads
         return np.asarray(means[side].trajectories(numbers[None])[0])
 
     def _means(self, problem: Problem) -> list[BumpedMean] | None:
@@ -413,18 +457,17 @@ class BumpTraining:
         looks: Looks = stacked([seen for _, _, seen in visits])
         with torch.no_grad():
             drawn = policy(looks)
-            component, action = drawn.sample(settings.rollouts, generator)
-            before = drawn.log_prob(component, action)
+            gaussian, action = drawn.sample(settings.rollouts, generator)
+            before = drawn.log_prob(gaussian, action)
+        component = gaussian.numpy() // policy.shape.heads
         numbers = (action * policy.scale).numpy().astype(np.float64)
         reward, clear = np.empty((2, settings.batch, settings.rollouts))
         for index, (place, met, _) in enumerate(visits):
-            paths = place.trajectories(component[index].numpy(), numbers[index])
+            paths = place.trajectories(component[index], numbers[index])
             reward[index], clear[index] = self._rewards.of(met, paths)
-        advantage = reward - reward.mean(axis=1, keepdims=True)
-        advantage /= advantage.std() + 1e-6
-        advantages = torch.from_numpy(advantage.astype(np.float32))
+        advantage = torch.from_numpy(advantages(reward, settings.best_of).astype(np.float32))
         for _ in range(settings.epochs):
-            loss = clipped_loss(policy(looks), component, action, before, advantages, settings.clip)
+            loss = clipped_loss(policy(looks), gaussian, action, before, advantage, settings.clip)
             self._step(loss)
         self.trajectories += reward.size
         return np.array([reward.mean(), clear.mean(), clear.any(axis=1).mean()])

@@ -158,8 +158,9 @@ class BumpPlanner:
             for number, (count, width) in enumerate(ahead):
                 with stopwatch.stage("inference"):
                     wider = found._replace(std=width * found.std)
-                    side, action = _drawn(wider, count, generator, mean_first=number == 0)
-                    components = np.array(list(reached))[side[0].numpy()]
+                    gaussian, action = _drawn(wider, count, generator, mean_first=number == 0)
+                    side = gaussian[0].numpy() // self._policy.shape.heads
+                    components = np.array(list(reached))[side]
                     numbers = (action * self._policy.scale)[0].numpy().astype(np.float64)
                 tried = self._checked(problem, reached, components, numbers, stopwatch)
                 if plan is None or tried.solved:
@@ -224,12 +225,15 @@ class BumpPlanner:
 def _drawn(
     found: ActionDistribution, count: int, generator: torch.Generator, *, mean_first: bool
 ) -> tuple[Tensor, Tensor]:
-    """Return `count` components (1, N) and actions (1, N, F), perhaps the mean action first."""
+    """Return `count` indices of Gaussians (1, N) and actions (1, N, F).
+
+    The likeliest Gaussian's mean may be the first.
+    """
     parts = []
     if mean_first:
         likeliest = found.choice.argmax(dim=1, keepdim=True)
         parts.append((likeliest, torch.take_along_dim(found.mean, likeliest[..., None], 1)))
     if count > len(parts):
         parts.append(found.sample(count - len(parts), generator))
-    side, action = (torch.cat(each, 1) for each in zip(*parts, strict=True))
-    return side, action
+    gaussian, action = (torch.cat(each, 1) for each in zip(*parts, strict=True))
+    return gaussian, action

@@ -1,9 +1,9 @@
 """The policy of `mp_rl` and its kin: from a scene to a distribution over bumps on the mean.
 
 An action is one choice of a component of the prior, such as a side, and the numbers of
-`smp_planner.planning.bumps` for its conditioned mean. Their distribution is a categorical one over
-components and, in each, a Gaussian with independent coordinates. Of `mp_rl` both come from a
-network over the set of obstacles (Zaheer et al. 2017, "Deep Sets", with mean and greatest value as
+`smp_planner.planning.bumps` for its conditioned mean. Their distribution is a mixture: a choice of
+a component and of one of its heads, and for each head a Gaussian with independent coordinates. Of
+`mp_rl` all of it comes from a network over the set of obstacles (Zaheer et al. 2017, "Deep Sets", with mean and greatest value as
 the pooling): every obstacle is seen together with the hand's path along the conditioned mean, in
 the obstacle's own frame. `detour` sees nothing: its distribution is a constant.
 """
@@ -61,12 +61,14 @@ class NetworkShape:
         components: of the prior.
         sees: whether there is a network over obstacles; if not, the distribution is a constant.
         width: units of the layers that each obstacle passes.
+        heads: H, Gaussians of a component.
     """
 
     actions: int
     components: int
     sees: bool = True
     width: int = 128
+    heads: int = 1
 
 
 class Looks(NamedTuple):
@@ -136,11 +138,11 @@ def stacked(seen: Sequence[tuple[Numbers, Numbers]]) -> Looks:
 
 
 class ActionDistribution(NamedTuple):
-    """The distribution over actions in B scenes.
+    """The distribution over actions in B scenes, a mixture of G = C H Gaussians.
 
     Attributes:
-        choice: (B, C) logarithms of the components' probabilities.
-        mean: (B, C, F).
+        choice: (B, G) logarithms of the Gaussians' probabilities, H of each component in turn.
+        mean: (B, G, F).
         std: (F,).
     """
 
@@ -148,23 +150,23 @@ class ActionDistribution(NamedTuple):
     mean: Tensor
     std: Tensor
 
-    def log_prob(self, component: Tensor, action: Tensor) -> Tensor:
+    def log_prob(self, gaussian: Tensor, action: Tensor) -> Tensor:
         """Return the log-density (B, N), less a constant, of N actions in each scene.
 
         Args:
-            component: (B, N) chosen.
+            gaussian: (B, N) chosen.
             action: (B, N, F).
         """
-        mean = torch.take_along_dim(self.mean, component[..., None], 1)
+        mean = torch.take_along_dim(self.mean, gaussian[..., None], 1)
         off = (action - mean) / self.std
-        chosen = torch.take_along_dim(self.choice, component, 1)
+        chosen = torch.take_along_dim(self.choice, gaussian, 1)
         return chosen - 0.5 * off.square().sum(-1) - self.std.log().sum()
 
     def sample(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Return `count` components (B, N) and actions (B, N, F)."""
-        component = torch.multinomial(self.choice.exp(), count, True, generator=generator)
-        mean = torch.take_along_dim(self.mean, component[..., None], 1)
-        return component, mean + self.std * torch.randn(mean.shape, generator=generator)
+        """Return `count` indices of Gaussians (B, N) and actions (B, N, F)."""
+        gaussian = torch.multinomial(self.choice.exp(), count, True, generator=generator)
+        mean = torch.take_along_dim(self.mean, gaussian[..., None], 1)
+        return gaussian, mean + self.std * torch.randn(mean.shape, generator=generator)
 
 
 class BumpPolicy(nn.Module):
@@ -186,7 +188,9 @@ class BumpPolicy(nn.Module):
         self.log_std = nn.Parameter(torch.full((shape.actions,), math.log(std)))
         self.register_buffer("scale", torch.ones(shape.actions))
         if not shape.sees:
-            self.constant = nn.Parameter(torch.zeros(shape.components, 1 + shape.actions))
+            self.constant = nn.Parameter(
+                self._beginning(std).repeat(shape.components, 1).contiguous()
+            )
             return
         width, half = shape.width, shape.width // 2
         self.context = nn.Sequential(
@@ -196,13 +200,24 @@ class BumpPolicy(nn.Module):
             nn.Linear(_ROW + half, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
         )
         self.whole = nn.Sequential(
-            nn.Linear(2 * width + half, half), nn.ReLU(), nn.Linear(half, 1 + shape.actions)
+            nn.Linear(2 * width + half, half), nn.ReLU(), nn.Linear(half, shape.heads * (1 + shape.actions))
         )
-        # The first actions are about the conditioned mean.
         last = self.whole[-1]
         assert isinstance(last, nn.Linear)
         nn.init.zeros_(last.weight)
-        nn.init.zeros_(last.bias)
+        with torch.no_grad():
+            last.bias.copy_(self._beginning(std))
+
+    def _beginning(self, std: float) -> Tensor:
+        """Return the numbers (H (1 + F),) of untrained heads, about the conditioned mean.
+
+        Several are as far apart as actions are drawn, for what is alike would learn the same.
+        """
+        heads, actions = self.shape.heads, self.shape.actions
+        numbers = torch.zeros(heads, 1 + actions)
+        if heads > 1:
+            numbers[:, 1:] = std * torch.randn(heads, actions)
+        return numbers.flatten()
 
     def forward(self, looks: Looks, components: Sequence[int] | None = None) -> ActionDistribution:
         """Return the distribution over actions in B scenes.
@@ -222,5 +237,6 @@ class BumpPolicy(nn.Module):
         else:
             constant = self.constant if components is None else self.constant[list(components)]
             found = constant.expand(len(looks.context), -1, -1)
+        found = found.unflatten(-1, (self.shape.heads, -1)).flatten(1, 2)
         std = self.log_std.exp().clamp(min=_LEAST_STD)
         return ActionDistribution(found[..., 0].log_softmax(-1), found[..., 1:], std)
