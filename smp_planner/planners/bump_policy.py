@@ -200,7 +200,9 @@ class BumpPolicy(nn.Module):
             nn.Linear(_ROW + half, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
         )
         self.whole = nn.Sequential(
-            nn.Linear(2 * width + half, half), nn.ReLU(), nn.Linear(half, shape.heads * (1 + shape.actions))
+            nn.Linear(2 * width + half, half),
+            nn.ReLU(),
+            nn.Linear(half, shape.heads * (1 + shape.actions)),
         )
         last = self.whole[-1]
         assert isinstance(last, nn.Linear)

@@ -1,5 +1,6 @@
 """Policy search over bumps: its gradient, a bandit with a known optimum, tiny trainings, files."""
 
+import itertools
 import json
 from dataclasses import asdict, replace
 
@@ -14,6 +15,7 @@ from smp_gym.suites import Cell
 from smp_planner.agents.bump_training import (
     BumpSettings,
     BumpTraining,
+    advantages,
     clipped_loss,
 )
 from smp_planner.agents.posed_scenes import posed
@@ -101,6 +103,52 @@ def test_it_finds_the_optimum_of_a_bandit():
     found = policy(blank)
     assert found.choice[0, 1].exp() > 0.9
     torch.testing.assert_close(found.mean[0, 1], target, atol=0.1, rtol=0.0)
+
+
+@pytest.mark.parametrize("best_of", [1, 2, 3, 7])
+def test_the_advantage_is_what_an_action_adds_to_the_best_of_several(best_of):
+    """By every choice of the others, one after the other; ties included."""
+    reward = np.random.default_rng(0).normal(size=(3, 7)).round(1)
+    expected = np.zeros_like(reward)
+    for scene, action in np.ndindex(*reward.shape):
+        others = np.delete(reward[scene], action)
+        expected[scene, action] = np.mean(
+            [
+                max(reward[scene, action], *chosen) - max(chosen)
+                for chosen in itertools.combinations(others, best_of - 1)
+            ]
+            if best_of > 1
+            else reward[scene, action] - reward[scene].mean()
+        )
+    expected /= np.sqrt(np.square(expected).mean())
+    np.testing.assert_allclose(advantages(reward, best_of), expected, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize(("best_of", "kept"), [(1, 1), (4, 2)])
+def test_heads_stay_apart_where_the_best_of_several_counts(best_of, kept):
+    """In half of the scenes, which look alike, one action is right, in the others another."""
+    torch.manual_seed(0)
+    policy = BumpPolicy(NetworkShape(1, 1, sees=False, heads=2), std=0.2)
+    blank = Looks(torch.zeros(16, 1, 72), torch.zeros(16, 1, 1, 45), torch.zeros(16, 1, dtype=bool))
+    # A little more often the first.
+    right = torch.tensor([[1.0]] * 10 + [[-1.0]] * 6)[:, None]
+    optimiser = torch.optim.Adam(policy.parameters(), 0.03)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(150):
+        with torch.no_grad():
+            drawn = policy(blank)
+            gaussian, action = drawn.sample(16, generator)
+            before = drawn.log_prob(gaussian, action)
+        reward = torch.exp(-2.0 * (action - right).square().sum(-1)).numpy()
+        advantage = torch.from_numpy(advantages(reward, best_of).astype(np.float32))
+        loss = clipped_loss(policy(blank), gaussian, action, before, advantage, 0.2)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    found = policy(blank)
+    likely = found.mean[0, found.choice[0].exp() > 0.1, 0]
+    near = {int(place) for place in (1, -1) if ((likely - place).abs() < 0.3).any()}
+    assert len(near) == kept, (found.mean[0], found.choice[0].exp())
 
 
 @pytest.fixture(scope="module")
@@ -282,6 +330,8 @@ def test_damaged_files_and_wrong_agents_are_refused(trained, tmp_path):
         ('{"*": {"rollouts": 1}}', "rollouts"),
         ('{"*": {"speed": 1}}', "speed"),
         ('{"*": {"reward": "luck"}}', "reward"),
+        ('{"*": {"heads": 0}}', "heads"),
+        ('{"*": {"rollouts": 4, "best_of": 5}}', "best_of must be at most rollouts, 4, got 5"),
         ("[]", "must hold settings by name"),
         ("{", "JSON"),
     ],
