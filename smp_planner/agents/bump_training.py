@@ -5,8 +5,9 @@ Black-Box Reinforcement Learning with Movement Primitives"): bumps on the condit
 iteration a batch of scenes is drawn, 16 actions are drawn in each, and the policy follows the
 clipped gradient of Schulman et al. 2017 (Eq. (7)). The planner executes the best of what is
 proposed, so the advantage of an action can be what it adds to the best of several (`advantages`),
-and the policy can have several heads, which learn to be different. The reward is that of the planners' check, or, of `mp_rl_physics`, that of an
-episode in the physics, see `smp_planner.agents.trajectory_rewards`.
+and the policy can have several heads, which learn to be different. The reward is that of the
+planners' check, or, of `mp_rl_physics`, that of an episode in the physics, see
+`smp_planner.agents.trajectory_rewards`.
 
 To descend the costs that `smp` descends first, whose derivative by an action is known, comes to
 clear trajectories in a tenth of the time, but of training scenes alone: of 20 others the agent then

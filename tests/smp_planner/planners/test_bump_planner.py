@@ -1,4 +1,4 @@
-"""Learned proposals: the mean action, draws around it, heads, and further tries while none is good."""
+"""Learned proposals: mean action, draws around it, heads, further tries while none is good."""
 
 import dataclasses
 
