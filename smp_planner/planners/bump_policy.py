@@ -5,7 +5,8 @@ An action is one choice of a component of the prior, such as a side, and the num
 a component and of one of its heads, and for each head a Gaussian with independent coordinates. Of
 `mp_rl` all of it comes from a network over the set of obstacles (Zaheer et al. 2017, "Deep Sets",
 with mean and greatest value as the pooling): every obstacle is seen together with the hand's path
-along the conditioned mean, in the obstacle's own frame. `detour` sees nothing: its distribution is a constant.
+along the conditioned mean, in the obstacle's own frame. `detour` sees nothing: its distribution is
+a constant.
 """
 
 from __future__ import annotations
