@@ -41,7 +41,7 @@ from scipy.special import comb
 
 from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.atomic_files import write_text
-from smp_gym.sampling import sample_scene
+from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import Scene
 from smp_planner.agents.posed_scenes import posed, primitive_of
 from smp_planner.agents.training_folder import (
@@ -90,7 +90,8 @@ class BumpSettings(StrictSettings):
         bumps: on the mean of each joint.
         heads: Gaussians of the policy for each component of the prior.
         best_of: number of proposals whose best counts, see `advantages`.
-        scenes: training scenes.
+        scenes: training scenes with a reference trajectory, as the environments draw them.
+        placed: further ones, placed without (`smp_gym.sampling.place_without_witness`).
         batch: scenes of an iteration.
         rollouts: actions in each.
         epochs: steps of the gradient for each batch.
@@ -109,6 +110,7 @@ class BumpSettings(StrictSettings):
     heads: int = Field(default=1, ge=1, le=100)
     best_of: int = Field(default=1, ge=1)
     scenes: int = Field(default=240, ge=1)
+    placed: int = Field(default=0, ge=0)
     batch: int = Field(default=48, ge=1)
     rollouts: int = Field(default=16, ge=2)
     epochs: int = Field(default=6, ge=1)
@@ -328,11 +330,13 @@ class BumpTraining:
         """
         path = self._folder / "scenes.jsonl"
         lines = path.read_text().splitlines() if path.exists() else []
-        first, wanted = FIRST_SEED + _SEEDS * self._seed, self._settings.scenes
+        first, drawn = FIRST_SEED + _SEEDS * self._seed, self._settings.scenes
+        wanted = drawn + self._settings.placed
         for number in range(len(lines), wanted):
             begin = time.process_time()
             difficulty = self._difficulties[number % len(self._difficulties)]
-            scene = sample_scene(self._task, difficulty, first + number)
+            draw = sample_scene if number < drawn else place_without_witness
+            scene = draw(self._task, difficulty, first + number)
             seconds = time.process_time() - begin
             lines.append(json.dumps({"cpu": seconds, "scene": scene.to_json()}))
             progress(number + 1, wanted)
