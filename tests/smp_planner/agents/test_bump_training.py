@@ -10,9 +10,11 @@ import torch
 from shipped_planners import planners_of
 
 from smp_gym.folder_lock import FolderInUseError
+from smp_gym.sampling import place_without_witness, sample_scene
 from smp_gym.scene import TASKS
 from smp_gym.suites import Cell
 from smp_planner.agents.bump_training import (
+    FIRST_SEED,
     BumpSettings,
     BumpTraining,
     advantages,
@@ -28,7 +30,7 @@ from smp_planner.planners.bump_planner import LEARNED, BumpPlanner
 from smp_planner.planners.bump_policy import ActionDistribution, BumpPolicy, Looks, NetworkShape
 from smp_planner.planners.card_file import shipped_agent
 
-TINY = BumpSettings(scenes=3, batch=3, rollouts=4, epochs=2, bumps=2, annealing=3)
+TINY = BumpSettings(scenes=2, placed=1, batch=3, rollouts=4, epochs=2, bumps=2, annealing=3)
 
 
 def distribution(choice, mean, log_std):
@@ -175,6 +177,13 @@ def trained(tmp_path_factory):
     second.run(4, every=1)
     second.close()
     return second, whole, halves
+
+
+def test_some_training_scenes_have_a_reference_trajectory_and_the_others_have_none(trained):
+    training, _, _ = trained
+    first = FIRST_SEED + 5 * 5000
+    drawn = [sample_scene("Placement", "easy", seed) for seed in (first, first + 1)]
+    assert training.scenes == (*drawn, place_without_witness("Placement", "easy", first + 2))
 
 
 def test_a_training_goes_on_as_if_undisturbed(trained):
