@@ -1,4 +1,4 @@
-"""Models of settings that take for a number what is one."""
+"""Models of settings that take for a number what is one, alone and several at once."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, create_model, model_validator
 
 from smp_gym.arrays import shown
 
-__all__ = ["StrictSettings"]
+__all__ = ["StrictSettings", "checked_settings"]
 
 
 class StrictSettings(BaseModel):
@@ -35,6 +35,37 @@ class StrictSettings(BaseModel):
                 wanted = "a number or numbers" if kinds & {int, float} else "True or False"
                 raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
         return given
+
+
+def checked_settings(
+    title: str, given: Mapping[str, Any], *models: type[BaseModel]
+) -> tuple[Any, ...]:
+    """Return settings as one instance of each of several models, which share no name.
+
+    All are checked as one model, so that an error names all that exist.
+
+    Args:
+        title: that errors begin with.
+        given: settings by name; the rest keep their defaults.
+        models: that they are of.
+
+    Raises:
+        ValueError: an unknown setting, or one out of range.
+    """
+    everything: Any = create_model(
+        title,
+        __config__=ConfigDict(extra="forbid", frozen=True),
+        **{  # type: ignore[call-overload]
+            name: (field.annotation, field)
+            for model in models
+            for name, field in model.model_fields.items()
+        },
+    )
+    everything.model_validate(dict(given))
+    return tuple(
+        model.model_validate({name: given[name] for name in model.model_fields if name in given})
+        for model in models
+    )
 
 
 def _kinds(annotation: Any) -> Iterator[type]:

@@ -16,7 +16,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from pydantic import ConfigDict, create_model
 from torch import Tensor
 
 from smp_gym.arrays import FloatArray, IntArray
@@ -33,7 +32,7 @@ from smp_planner.planning.problem import Problem
 from smp_planner.planning.settings import PlanSettings, PriorSettings
 from smp_planner.planning.stopwatch import Stopwatch
 from smp_planner.planning.tries import Try, tries
-from smp_planner.strict_settings import StrictSettings
+from smp_planner.strict_settings import StrictSettings, checked_settings
 from smp_planner.torch_threads import one_thread
 
 __all__ = ["LEARNED", "BumpPlanner", "ProposalSettings"]
@@ -78,26 +77,10 @@ class BumpPlanner:
     def __init__(
         self, demonstrations: Demonstrations, name: str, settings: Mapping[str, Any]
     ) -> None:
-        models = (PriorSettings, PlanSettings, ProposalSettings)
-        everything: Any = create_model(
-            f"settings of {name}",
-            __config__=ConfigDict(extra="forbid", frozen=True),
-            **{  # type: ignore[call-overload]
-                field_name: (field.annotation, field)
-                for model in models
-                for field_name, field in model.model_fields.items()
-            },
+        prior, self._plan_settings, self._proposals = checked_settings(
+            f"settings of {name}", settings, PriorSettings, PlanSettings, ProposalSettings
         )
-        everything.model_validate(dict(settings))
-        prior, plans, proposals = (
-            model.model_validate({k: v for k, v in settings.items() if k in model.model_fields})
-            for model in models
-        )
-        assert isinstance(prior, PriorSettings)
-        assert isinstance(plans, PlanSettings)
-        assert isinstance(proposals, ProposalSettings)
-        self._plan_settings, self._proposals = plans, proposals
-        path = Path(proposals.agent or shipped_agent(name, demonstrations.task))
+        path = Path(self._proposals.agent or shipped_agent(name, demonstrations.task))
         try:
             self._policy, self.card = read_agent(path)
         except FileNotFoundError:

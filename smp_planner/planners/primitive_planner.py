@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, create_model
 
 from smp_gym.datasets.demonstrations import Demonstrations
 from smp_planner.adaptation import ADAPTATIONS, Adaptation, SteinSettings
@@ -20,6 +19,7 @@ from smp_planner.planning.prior import Prior, learn_prior
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.replanning import replan
 from smp_planner.planning.settings import PlanSettings, PriorSettings
+from smp_planner.strict_settings import checked_settings
 
 __all__ = ["PrimitivePlanner"]
 
@@ -49,31 +49,13 @@ class PrimitivePlanner:
         self, demonstrations: Demonstrations, adaptation: str, settings: Mapping[str, Any]
     ) -> None:
         kind = ADAPTATIONS[adaptation]
-        models = (PriorSettings, PlanSettings, type(kind.settings))
-        # All settings are checked as one model, so that an error names all that exist.
-        everything: Any = create_model(
-            f"settings of {adaptation}",
-            __config__=ConfigDict(extra="forbid", frozen=True),
-            **{  # type: ignore[call-overload]
-                name: (field.annotation, field)
-                for model in models
-                for name, field in model.model_fields.items()
-            },
+        prior, self.plan_settings, own = checked_settings(
+            f"settings of {adaptation}", settings, PriorSettings, PlanSettings, type(kind.settings)
         )
-        everything.model_validate(dict(settings))
-
-        def given(model: type[BaseModel]) -> dict[str, Any]:
-            return {name: settings[name] for name in model.model_fields if name in settings}
-
-        self.plan_settings = PlanSettings.model_validate(given(PlanSettings))
-        own = type(kind.settings)
-        self.adaptation: Adaptation = replace(kind, settings=own.model_validate(given(own)))
+        self.adaptation: Adaptation = replace(kind, settings=own)
         self._devices: dict[str, DevicePlanner] = {}
         self._maps: dict[Any, Any] = {}
-        self.prior: Prior = learn_prior(
-            list(np.array(demonstrations.configurations)),
-            PriorSettings.model_validate(given(PriorSettings)),
-        )
+        self.prior: Prior = learn_prior(list(np.array(demonstrations.configurations)), prior)
 
     @property
     def settings(self) -> dict[str, Any]:
