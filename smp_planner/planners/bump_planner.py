@@ -77,6 +77,8 @@ class BumpPlanner:
     def __init__(
         self, demonstrations: Demonstrations, name: str, settings: Mapping[str, Any]
     ) -> None:
+        self._plan_settings: PlanSettings
+        self._proposals: ProposalSettings
         prior, self._plan_settings, self._proposals = checked_settings(
             f"settings of {name}", settings, PriorSettings, PlanSettings, ProposalSettings
         )

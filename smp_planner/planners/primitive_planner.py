@@ -49,6 +49,7 @@ class PrimitivePlanner:
         self, demonstrations: Demonstrations, adaptation: str, settings: Mapping[str, Any]
     ) -> None:
         kind = ADAPTATIONS[adaptation]
+        self.plan_settings: PlanSettings
         prior, self.plan_settings, own = checked_settings(
             f"settings of {adaptation}", settings, PriorSettings, PlanSettings, type(kind.settings)
         )
