@@ -360,16 +360,17 @@ class BumpTraining:
         if self.iteration == 0:
             scale = scale_of([each for _, means in found for each in means])
             self.policy.scale.copy_(torch.from_numpy(scale))
-        stride = self._rewards.stride
+        samples = self._rewards.samples
         self._places = [
             _Place(
                 known,
-                np.stack([each.mean[::stride] for each in means]),
-                np.stack([each.directions[:, ::stride] for each in means]),
+                np.stack([each.mean for each in coarse]),
+                np.stack([each.directions for each in coarse]),
                 look(means, ())[0],
                 hand_paths(means),
             )
             for known, means in found
+            for coarse in [[each.resampled(samples) for each in means]]
         ]
 
     def run(

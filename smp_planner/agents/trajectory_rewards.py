@@ -1,11 +1,12 @@
 """Rewards of trajectories in the training of `mp_rl`: by the planners' check, or the physics.
 
 Both say of trajectories in a scene how good each is, and whether it has succeeded. `CheckedRewards`
-are those of the exact distances, at every fifth sample of a trajectory and with 3 mm for what lies
-between them: its least clearance, in units of 0.15 m, and 1 more if it is clear of everything,
-within joint limits and the limit of duration, and meets the constraints. `ExecutedRewards` know no
-distance: each trajectory is executed as a plan is, in an episode of the environment, and is worth 1
-for success, and the share of its way that was done before the episode ended.
+are those of the exact distances, at 40 samples of a trajectory and with 3 mm for what lies between
+them: its least clearance, or what it misses a constraint by if that is more, in units of 0.15 m,
+and 1 more if it is clear of everything, within joint limits and the limit of duration, and meets
+the constraints. `ExecutedRewards` know no distance: each trajectory is executed as a plan is, in an
+episode of the environment, and is worth 1 for success, and the share of its way that was done
+before the episode ended.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from smp_gym.scene import Obstacle, Scene
 from smp_planner.agents.posed_scenes import environment, posed, primitive_of
 from smp_planner.planning.bumps import SoftenedCheck
 from smp_planner.planning.problem import Problem
+from smp_planner.planning.settings import PlanSettings
 from smp_planner.policy.tracking import Track, gripper_event
 
 __all__ = [
@@ -57,8 +59,8 @@ class TrajectoryRewards(Protocol):
     """Protocol of what says how good trajectories are in a scene."""
 
     @property
-    def stride(self) -> int:
-        """Of the samples of a trajectory, every how many of them are looked at."""
+    def samples(self) -> int:
+        """T of the trajectories that are looked at, at equal steps of phase."""
         ...
 
     def met(self, known: PosedScene, obstacles: tuple[Obstacle, ...]) -> PosedScene:
@@ -75,7 +77,7 @@ class TrajectoryRewards(Protocol):
 
         Args:
             met: where they begin.
-            trajectories: (N, T, 6) rad, at every `stride`-th sample.
+            trajectories: (N, T, 6) rad.
         """
         ...
 
@@ -85,12 +87,12 @@ class CheckedRewards:
     """Rewards of the planners' check.
 
     Attributes:
-        duration_limit: s, within which a trajectory must be feasible.
+        settings: limit of the duration, and what constraints may be missed by.
     """
 
-    duration_limit: float
+    settings: PlanSettings
 
-    stride = 5
+    samples = 40
 
     def met(self, known: PosedScene, obstacles: tuple[Obstacle, ...]) -> PosedScene:
         """Return a scene with other obstacles, whatever they touch."""
@@ -104,8 +106,7 @@ class CheckedRewards:
 
     def of(self, met: PosedScene, trajectories: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return rewards (N,) from -1 to 1.07, and whether trajectories are clear (N,)."""
-        samples = trajectories.shape[1]
-        check = SoftenedCheck(met.problem, samples, _FLOOR, self.duration_limit)
+        check = SoftenedCheck(met.problem, trajectories.shape[1], _FLOOR, self.settings)
         clearance = check.clearance(trajectories)
         clear = clearance > 0.0
         return np.minimum(clearance, _ENOUGH) / -_FLOOR + clear, clear
@@ -121,7 +122,7 @@ class ExecutedRewards:
         task: of the scenes; its demonstrations say when the hand opens or closes.
     """
 
-    stride = 1
+    samples = 200
 
     def __init__(self, task: str) -> None:
         self._event = gripper_event(Demonstrations.load(task).gripper)
@@ -162,7 +163,7 @@ def make_rewards(name: RewardName, task: str) -> TrajectoryRewards:
     """
     if name == "physics":
         return ExecutedRewards(task)
-    return CheckedRewards(primitive_of(task).plan_settings.duration_limit)
+    return CheckedRewards(primitive_of(task).plan_settings)
 
 
 def _with_obstacles(scene: Scene, obstacles: tuple[Obstacle, ...]) -> Scene:

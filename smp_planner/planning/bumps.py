@@ -5,13 +5,14 @@ added in each joint. Where the trajectory is held on its course (via-points, the
 they vanish: bumps of the primitive's own shape do by themselves, and of given functions what they
 would change there is conditioned away: of a Gaussian prior, adding one before conditioning adds
 (I - K H) of it afterwards. So every trajectory meets the constraints as the mean does, and no
-number is lost on what they forbid.
+number is lost on what they forbid, but for what conditioning leaves uncertain or takes to be
+linear, such as the posture at a goal: large numbers can miss it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -27,7 +28,6 @@ from smp_planner.planning.conditioning import condition
 from smp_planner.planning.problem import Problem
 from smp_planner.planning.robot_body import RobotBody
 from smp_planner.planning.settings import PlanSettings
-from smp_planner.planning.tool_constraints import ToolPath
 from smp_planner.torch_threads import one_thread
 
 __all__ = [
@@ -69,9 +69,15 @@ class BumpedMean:
     mean: FloatArray
     directions: FloatArray
 
-    def trajectories(self, numbers: FloatArray, stride: int = 1) -> FloatArray:
-        """Return the trajectories (C, T, D) rad of numbers (C, F), or every so many samples."""
-        return moved(self.mean[::stride], self.directions[:, ::stride], numbers)
+    def trajectories(self, numbers: FloatArray) -> FloatArray:
+        """Return the trajectories (C, T, D) rad of numbers (C, F)."""
+        return moved(self.mean, self.directions, numbers)
+
+    def resampled(self, samples: int) -> BumpedMean:
+        """Return the same with as many equal steps of phase, from 0 to 1."""
+        mean = self.posterior.trajectory(self.posterior.mean, samples).numpy()
+        directions = self.posterior.trajectory(self.changes, samples).numpy()
+        return replace(self, mean=mean, directions=directions)
 
     def weights(self, numbers: FloatArray) -> Tensor:
         """Return the weights (C, K*D) of numbers (C, F)."""
@@ -174,39 +180,45 @@ def _left_of(prior: ProMP, posterior: ProMP, functions: Tensor) -> Tensor:
 class SoftenedCheck:
     """The planners' exact check at the samples of trajectories alone, quickly, and softened.
 
-    Distances to obstacles are exact, and so are joint limits, duration and via-points; a trajectory
-    whose clearance at its samples is above a few millimetres is taken to be clear between them.
+    Distances to obstacles are exact, and so are joint limits, duration and constraints; what is
+    clear by more than a few millimetres at its samples is taken to be clear between them.
 
     Args:
         problem: to be solved; its obstacles are taken to stand where they are.
-        samples: T of the trajectories.
+        samples: T of the trajectories, at equal steps of phase from 0 to 1.
         floor: m, least clearance told apart.
-        duration_limit: s, within which a trajectory must be feasible.
+        settings: limit of the duration, and what constraints may be missed by.
     """
 
     def __init__(
-        self, problem: Problem, samples: int, floor: float = -0.03, duration_limit: float = 15.0
+        self,
+        problem: Problem,
+        samples: int,
+        floor: float = -0.03,
+        settings: PlanSettings = PlanSettings(),  # noqa: B008
     ) -> None:
-        self.problem, self.floor, self._duration_limit = problem, floor, duration_limit
+        self.problem, self.floor, self._settings = problem, floor, settings
         self._parts = [
             (stage.body.model, PackedObstacles.of(stage.obstacles), stage.steps(samples))
             for stage in problem.stages
             if isinstance(stage.body, RobotBody)
         ]
-        self._via = [c for c in problem.constraints if isinstance(c, ToolPath)]
 
     def clearance(self, trajectories: FloatArray) -> FloatArray:
         """Return the clearance (C,) m of trajectories (C, T, n) rad beyond what is demanded.
 
-        It is the floor where they break a limit, miss a via-point or touch themselves.
+        What a constraint is missed by, beyond its slack, is clearance that lacks. It is the floor
+        where they break a limit or touch themselves.
         """
-        robot = self.problem.robot
+        robot, settings = self.problem.robot, self._settings
         valid = within_joint_limits(trajectories, robot)
-        valid &= minimum_duration(trajectories, robot.velocity) <= self._duration_limit
-        for constraint in self._via:
-            valid &= constraint.missed(trajectories) <= 0.0
+        valid &= minimum_duration(trajectories, robot.velocity) <= settings.duration_limit
         least = self.floor
         clearance = np.where(valid, -least, least)
+        for constraint in self.problem.constraints:
+            beyond = constraint.missed(trajectories) - constraint.slack(settings)
+            clearance = np.where(beyond > 0.0, np.minimum(clearance, -beyond), clearance)
+        clearance = np.maximum(clearance, least)
         for model, obstacles, steps in self._parts:
             open_ = np.flatnonzero(clearance > least)
             part = trajectories[open_, steps]

@@ -31,8 +31,8 @@ __all__ = [
 ]
 
 _SAMPLES = 200
-_STRIDE = 5
-"""Samples of a trajectory, and every how many of them the search looks at one."""
+_CHECKED = 40
+"""Samples of a trajectory, and how many the search looks at."""
 
 _FLOOR = -0.03
 _SOFTNESS = (0.015, 0.003)
@@ -98,12 +98,12 @@ class _Scorer:
     """The softened count of free scenes, of a course's detours."""
 
     def __init__(self, course: BumpedMean) -> None:
-        self.course = course
-        self._check = SoftenedCheck(course.problem, len(course.mean[::_STRIDE]), _FLOOR)
+        self.course = course.resampled(_CHECKED)
+        self._check = SoftenedCheck(course.problem, _CHECKED, _FLOOR)
 
     def __call__(self, numbers: FloatArray, softness: float) -> FloatArray:
         """Return (C,) in [0, 1] for detours (C, F)."""
-        return self._check.score(self.course.trajectories(numbers, _STRIDE), softness)
+        return self._check.score(self.course.trajectories(numbers), softness)
 
 
 def _score(scorers: Sequence[_Scorer], numbers: FloatArray, softness: float) -> FloatArray:

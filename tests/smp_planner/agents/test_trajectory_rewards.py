@@ -150,7 +150,7 @@ def test_what_the_check_calls_a_success_is_good_by_the_whole_check(blocked):
     settings = primitive_of("Placement").plan_settings
     rewards = make_rewards("check", "Placement")
     numbers = drawn(found, 60)
-    reward, clear = rewards.of(met, found.trajectories(numbers, rewards.stride))
+    reward, clear = rewards.of(met, found.resampled(rewards.samples).trajectories(numbers))
     plan = make_plan(met.problem, found.trajectories(numbers), {"prior": np.zeros(60)}, settings)
     assert 0 < clear.sum() < 60
     assert plan.good[clear].all()

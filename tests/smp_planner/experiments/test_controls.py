@@ -81,7 +81,7 @@ def test_the_sampled_clearance_agrees_with_the_exact_check(placements) -> None:
     problem = placements[0]
     course = conditioned_course("Placement", problem)
     numbers = np.random.default_rng(1).normal(0.0, 0.4, (8, 18))
-    trajectories = course.trajectories(numbers, 5)
+    trajectories = course.resampled(40).trajectories(numbers)
     sampled = sampled_clearance(trajectories, problem.robot, problem.obstacles, -1.0, 1.0)
     exact = check_collisions(trajectories, problem.robot, problem.obstacles)
     touching = ~exact.self_free

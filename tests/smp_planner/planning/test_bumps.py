@@ -1,5 +1,7 @@
 """Bumps on the conditioned mean, against the primitive's own conditioning."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -50,7 +52,9 @@ def test_every_trajectory_meets_the_constraints(bumped):
     )
     latent = found.posterior.whiten(found.weights(numbers))
     np.testing.assert_allclose(found.surprise(numbers), 0.5 * (latent**2).sum(-1))
-    np.testing.assert_array_equal(found.trajectories(numbers, 5), trajectories[:, ::5])
+    # From 0 to 1 in steps of a third as many.
+    finer = found.resampled(598).trajectories(numbers)
+    np.testing.assert_allclose(finer[:, ::3], trajectories, atol=1e-9)
 
 
 def test_what_the_softened_check_calls_clear_is_good(bumped):
@@ -58,7 +62,27 @@ def test_what_the_softened_check_calls_clear_is_good(bumped):
     numbers = 0.2 * scale_of([found]) * np.random.default_rng(1).standard_normal((40, 30))
     trajectories = found.trajectories(numbers)
     check = SoftenedCheck(found.problem, 40, floor=-1.0)
-    clear = check.clearance(found.trajectories(numbers, 5)) > 0.0
+    clear = check.clearance(found.resampled(40).trajectories(numbers)) > 0.0
     good = assess(found.problem, trajectories, settings).good
     # Between samples it is a guess; it may err for a few of those that are nearly touching.
     assert (clear != good).sum() <= 3
+
+
+def test_what_misses_the_goal_is_not_clear_however_far_it_is_from_obstacles(bumped):
+    """Conditioning takes the goal to be linear in the posture, and large bumps leave that behind."""
+    _, found, settings = bumped
+    (goal,) = (each for each in found.problem.constraints if each.name == "goal")
+    numbers = scale_of([found]) * np.random.default_rng(2).standard_normal((200, 30))
+    trajectories = found.trajectories(numbers)
+    missed = goal.missed(trajectories)
+    assert missed.max() > 0.1
+    (stage,) = found.problem.stages
+    empty = replace(found.problem, stages=(replace(stage, obstacles=()),))
+    free = settings.model_copy(update={"duration_limit": 1e6})
+    check = SoftenedCheck(empty, 40, floor=-1.0, settings=free)
+    clearance = check.clearance(found.resampled(40).trajectories(numbers))
+    astray = (missed > 0.02) & (clearance > -1.0)
+    assert astray.sum() > 5
+    # Less the slack, and what is demanded between samples.
+    lacking = missed[astray] - settings.sigma + 0.003
+    np.testing.assert_allclose(clearance[astray], -lacking, atol=1e-9)
