@@ -186,21 +186,46 @@ def test_what_is_said_of_plans_by_the_recorded_stroke_is_counted(rows):
 
 
 def test_what_is_said_of_the_second_search_and_of_further_tries_is_counted(rows):
-    now = {_episode(row): int(row["success"]) for row in rows}
-    before, after, gained, lost = Counter(), Counter(), Counter(), Counter()
-    for row in shipped("standard_dbcbc15.csv.gz"):
-        old, new = int(row["success"]), now[_episode(row)]
-        before[row["method"]] += old
-        after[row["method"]] += new
-        gained[row["method"]] += new > old
-        lost[row["method"]] += new < old
+    more_tries = _won(shipped("learned_fd467cd.csv.gz"))
+    before, after, gained, lost = _changes("standard_dbcbc15.csv.gz", _won(rows) | more_tries)
     text = " ".join(page("docs/results.md").split())
     assert f"`smp` now solves {gained['smp']} that it did not and {lost['smp']} not" in text
     assert f"`cpromp` {gained['cpromp']} and {lost['cpromp']}, and `rrt_connect`" in text
     assert f"helped most, {gained['rrt_connect']} and {lost['rrt_connect']} (" in text
     assert lost["mp_rl"] == lost["detour"] == 0
-    assert f"`mp_rl` solves {after['mp_rl']} episodes where it solved {before['mp_rl']}" in text
-    assert f"and `detour` {after['detour']} where it solved {before['detour']}" in text
+    assert f"`mp_rl` solved {after['mp_rl']} episodes where it had solved {before['mp_rl']}" in text
+    assert f"and `detour` {after['detour']} where it had solved {before['detour']}" in text
+
+
+def test_what_is_said_of_agents_that_were_trained_anew_is_counted(rows):
+    text = " ".join(page("docs/results.md").split())
+    _, after, gained, lost = _changes("learned_fd467cd.csv.gz", _won(rows))
+    for method in ("mp_rl", "detour"):
+        told = f"`{method}` {after[method]} ({gained[method]} won, {lost[method]} lost)"
+        assert told in text
+        placed = [
+            sum(int(row["success"]) for row in table if (row["method"], row["half"]) == key)
+            for table in (shipped("learned_fd467cd.csv.gz"), rows)
+            for key in [(method, "placed")]
+        ]
+        assert f"`{method}` {placed[1]} of 600 where it had solved {placed[0]}" in text
+
+
+def _won(rows):
+    """Return whether each episode was a success."""
+    return {_episode(row): int(row["success"]) for row in rows}
+
+
+def _changes(name, now):
+    """Return successes by method in a file and now, and how many were won and lost."""
+    before, after, gained, lost = Counter(), Counter(), Counter(), Counter()
+    for row in shipped(name):
+        old, new = int(row["success"]), now[_episode(row)]
+        before[row["method"]] += old
+        after[row["method"]] += new
+        gained[row["method"]] += new > old
+        lost[row["method"]] += new < old
+    return before, after, gained, lost
 
 
 def _episode(row):

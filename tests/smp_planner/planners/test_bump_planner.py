@@ -12,7 +12,7 @@ from smp_planner.planners import make_planner
 from smp_planner.planners.agent_file import write_agent
 from smp_planner.planners.bump_policy import BumpPolicy, NetworkShape
 
-FIRST, SECOND, THIRD, NEVER = 74201, 74207, 74204, 74210
+FIRST, SECOND, THIRD, NEVER = 74200, 74207, 74224, 74202
 """Tuning seeds of Placement at easy, by the try of `mp_rl` that has a good proposal."""
 
 
