@@ -187,7 +187,8 @@ class SoftenedCheck:
         problem: to be solved; its obstacles are taken to stand where they are.
         samples: T of the trajectories, at equal steps of phase from 0 to 1.
         floor: m, least clearance told apart.
-        settings: limit of the duration, and what constraints may be missed by.
+        settings: limit of the duration, and what constraints may be missed by; by default those of
+            `PlanSettings`.
     """
 
     def __init__(
@@ -195,9 +196,10 @@ class SoftenedCheck:
         problem: Problem,
         samples: int,
         floor: float = -0.03,
-        settings: PlanSettings = PlanSettings(),  # noqa: B008
+        settings: PlanSettings | None = None,
     ) -> None:
-        self.problem, self.floor, self._settings = problem, floor, settings
+        self.problem, self.floor = problem, floor
+        self._settings = settings or PlanSettings()
         self._parts = [
             (stage.body.model, PackedObstacles.of(stage.obstacles), stage.steps(samples))
             for stage in problem.stages
