@@ -126,6 +126,28 @@ def test_the_suite_tight_is_counted_by_family():
             assert f"{line}\n" in text
 
 
+def test_what_is_said_of_agents_of_before_on_the_suite_tight_is_counted():
+    old, new = (
+        {
+            tuple(row[name] for name in ("task", "family", "difficulty", "seed")): int(
+                row["success"]
+            )
+            for row in shipped(name)
+            if row["method"] == "mp_rl"
+        }
+        for name in ("tight_fd467cd.csv.gz", "tight.csv.gz")
+    )
+    text = " ".join(page("docs/results.md").split())
+    sides = sum(won for (task, *_), won in old.items() if task == "DoubleSidedPlacement")
+    told = (
+        f"solved {sum(old.values())} of these {len(new)} episodes, {sides} of them on DoubleSided"
+    )
+    assert told in text
+    pairs = [(old[key], new[key]) for key in new]
+    assert f"lose {pairs.count((1, 0))} of them and win {pairs.count((0, 1))}" in text
+    assert f"and `mp_rl` {sum(new.values())} (" in text
+
+
 def test_what_is_said_of_older_code_is_counted(rows):
     outcomes = {"old": {}, "new": {}}
     for name, table in (("old", shipped("standard_5a6c30d.csv.gz")), ("new", rows)):
