@@ -310,9 +310,9 @@ class BumpTraining:
             raise ValueError("problem must have a goal within reach of all components")
         with torch.no_grad():
             found = self.policy(stacked([look(means, problem.movable)]))
-            likeliest = int(found.choice[0].argmax())
+            likeliest = found.choice[0].argmax().numpy()
             numbers = (found.mean[0, likeliest] * self.policy.scale).numpy().astype(np.float64)
-        side = likeliest // self.policy.shape.heads
+        side = int(self.policy.shape.component_of(likeliest))
         return np.asarray(means[side].trajectories(numbers[None])[0])
 
     def _means(self, problem: Problem) -> list[BumpedMean] | None:
@@ -360,18 +360,17 @@ class BumpTraining:
         if self.iteration == 0:
             scale = scale_of([each for _, means in found for each in means])
             self.policy.scale.copy_(torch.from_numpy(scale))
-        samples = self._rewards.samples
-        self._places = [
-            _Place(
-                known,
-                np.stack([each.mean for each in coarse]),
-                np.stack([each.directions for each in coarse]),
-                look(means, ())[0],
-                hand_paths(means),
-            )
-            for known, means in found
-            for coarse in [[each.resampled(samples) for each in means]]
-        ]
+        self._places = [self._place(known, means) for known, means in found]
+
+    def _place(self, known: PosedScene, means: Sequence[BumpedMean]) -> _Place:
+        coarse = [each.resampled(self._rewards.samples) for each in means]
+        return _Place(
+            known,
+            np.stack([each.mean for each in coarse]),
+            np.stack([each.directions for each in coarse]),
+            look(means, ())[0],
+            hand_paths(means),
+        )
 
     def run(
         self,
@@ -465,7 +464,7 @@ class BumpTraining:
             drawn = policy(looks)
             gaussian, action = drawn.sample(settings.rollouts, generator)
             before = drawn.log_prob(gaussian, action)
-        component = gaussian.numpy() // policy.shape.heads
+        component = policy.shape.component_of(gaussian.numpy())
         numbers = (action * policy.scale).numpy().astype(np.float64)
         reward, clear = np.empty((2, settings.batch, settings.rollouts))
         for index, (place, met, _) in enumerate(visits):

@@ -144,7 +144,7 @@ class BumpPlanner:
                 with stopwatch.stage("inference"):
                     wider = found._replace(std=width * found.std)
                     gaussian, action = _drawn(wider, count, generator, mean_first=number == 0)
-                    side = gaussian[0].numpy() // self._policy.shape.heads
+                    side = self._policy.shape.component_of(gaussian[0].numpy())
                     components = np.array(list(reached))[side]
                     numbers = (action * self._policy.scale)[0].numpy().astype(np.float64)
                 tried = self._checked(problem, reached, components, numbers, stopwatch)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from smp_gym.arrays import FloatArray
+from smp_gym.arrays import FloatArray, IntArray
 from smp_gym.robot.kinematics import end_effector_pose
 from smp_gym.scene import SHAPES, Obstacle
 from smp_planner.planning.bumps import BumpedMean
@@ -70,6 +70,10 @@ class NetworkShape:
     sees: bool = True
     width: int = 128
     heads: int = 1
+
+    def component_of(self, gaussian: IntArray) -> IntArray:
+        """Return the components of the prior that Gaussians of `ActionDistribution` are of."""
+        return gaussian // self.heads
 
 
 class Looks(NamedTuple):

@@ -33,7 +33,7 @@ VIA_POSE_STD = 0.002
 
 POSE_TOLERANCE = 0.02
 """Distance, m, from its place in a via-pose up to which a point of the hand's frame has taken it:
-more than twice what conditioned particles have been seen to miss."""
+far more than conditioning leaves open."""
 
 _POSE_POINTS = 0.1 * np.concatenate([np.zeros((1, 3)), np.eye(3)])
 """(4, 3) m, points of the hand's frame whose places make up a pose."""

@@ -83,25 +83,34 @@ def test_the_learning_rate_falls_to_a_tenth_and_stays():
     assert BumpSettings(learning_rate=0.02).rate(500) == 0.02
 
 
+def follow(policy, looks, advantage_of, rate, iterations, epochs=1):
+    """Let a policy follow the clipped gradient of advantages of what it draws."""
+    optimiser = torch.optim.Adam(policy.parameters(), rate)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(iterations):
+        with torch.no_grad():
+            drawn = policy(looks)
+            gaussian, action = drawn.sample(16, generator)
+            before = drawn.log_prob(gaussian, action)
+            advantage = advantage_of(gaussian, action)
+        for _ in range(epochs):
+            loss = clipped_loss(policy(looks), gaussian, action, before, advantage, 0.2)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+
+
 def test_it_finds_the_optimum_of_a_bandit():
     """Of two arms the second is better by 1, and its best action is known."""
     policy = BumpPolicy(NetworkShape(2, 2, sees=False), std=0.3)
     target = torch.tensor([0.5, -0.8])
     blank = Looks(torch.zeros(8, 2, 72), torch.zeros(8, 2, 1, 45), torch.zeros(8, 1, dtype=bool))
-    optimiser = torch.optim.Adam(policy.parameters(), 0.05)
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(60):
-        with torch.no_grad():
-            drawn = policy(blank)
-            component, action = drawn.sample(16, generator)
-            before = drawn.log_prob(component, action)
-            reward = component - (action - target).square().sum(-1)
-            advantage = reward - reward.mean(1, keepdim=True)
-        for _ in range(3):
-            loss = clipped_loss(policy(blank), component, action, before, advantage, 0.2)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
+
+    def advantage_of(component, action):
+        reward = component - (action - target).square().sum(-1)
+        return reward - reward.mean(1, keepdim=True)
+
+    follow(policy, blank, advantage_of, 0.05, 60, epochs=3)
     found = policy(blank)
     assert found.choice[0, 1].exp() > 0.9
     torch.testing.assert_close(found.mean[0, 1], target, atol=0.1, rtol=0.0)
@@ -134,19 +143,12 @@ def test_heads_stay_apart_where_the_best_of_several_counts(best_of, kept):
     blank = Looks(torch.zeros(16, 1, 72), torch.zeros(16, 1, 1, 45), torch.zeros(16, 1, dtype=bool))
     # A little more often the first.
     right = torch.tensor([[1.0]] * 10 + [[-1.0]] * 6)[:, None]
-    optimiser = torch.optim.Adam(policy.parameters(), 0.03)
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(150):
-        with torch.no_grad():
-            drawn = policy(blank)
-            gaussian, action = drawn.sample(16, generator)
-            before = drawn.log_prob(gaussian, action)
+
+    def advantage_of(_, action):
         reward = torch.exp(-2.0 * (action - right).square().sum(-1)).numpy()
-        advantage = torch.from_numpy(advantages(reward, best_of).astype(np.float32))
-        loss = clipped_loss(policy(blank), gaussian, action, before, advantage, 0.2)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
+        return torch.from_numpy(advantages(reward, best_of).astype(np.float32))
+
+    follow(policy, blank, advantage_of, 0.03, 150)
     found = policy(blank)
     likely = found.mean[0, found.choice[0].exp() > 0.1, 0]
     near = {int(place) for place in (1, -1) if ((likely - place).abs() < 0.3).any()}
