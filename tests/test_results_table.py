@@ -14,6 +14,8 @@ from smp_planner.experiments.suite_summary import (
     method_table,
     pair_table,
 )
+from smp_planner.planners.agent_file import read_agent
+from smp_planner.planners.card_file import shipped_agent
 
 CELL = re.compile(r"(\d+) \((\d+)–(\d+)\) · (\d+|–)")
 
@@ -149,10 +151,7 @@ def test_what_is_said_of_agents_of_before_on_the_suite_tight_is_counted():
 
 
 def test_what_is_said_of_older_code_is_counted(rows):
-    outcomes = {"old": {}, "new": {}}
-    for name, table in (("old", shipped("standard_5a6c30d.csv.gz")), ("new", rows)):
-        for row in table:
-            outcomes[name][_episode(row)] = int(row["success"])
+    outcomes = {"old": _won(shipped("standard_5a6c30d.csv.gz")), "new": _won(rows)}
     text = " ".join(page("docs/results.md").split())
     old, new = (
         {key[1:]: won for key, won in outcomes[name].items() if key[0] == "smp"}
@@ -185,15 +184,8 @@ def test_what_is_said_of_older_code_is_counted(rows):
 
 
 def test_what_is_said_of_plans_by_the_recorded_stroke_is_counted(rows):
-    now = {row["method"]: {} for row in rows}
-    for row in rows:
-        if row["task"] == "DrawS":
-            now[row["method"]][row["difficulty"], row["half"], row["seed"]] = int(row["success"])
-    alone = defaultdict(lambda: [0, 0])
-    for row in shipped("draw_s_32ea3d6.csv.gz"):
-        after = now[row["method"]][row["difficulty"], row["half"], row["seed"]]
-        alone[row["method"]][0] += after > int(row["success"])
-        alone[row["method"]][1] += after < int(row["success"])
+    _, _, gained, lost = _changes("draw_s_32ea3d6.csv.gz", _won(rows))
+    alone = {method: [gained[method], lost[method]] for method in gained}
     text = " ".join(page("docs/results.md").split())
     own = dict(alone)
     assert own.pop("smp") == [3, 1]
@@ -225,12 +217,46 @@ def test_what_is_said_of_agents_that_were_trained_anew_is_counted(rows):
     for method in ("mp_rl", "detour"):
         told = f"`{method}` {after[method]} ({gained[method]} won, {lost[method]} lost)"
         assert told in text
-        placed = [
-            sum(int(row["success"]) for row in table if (row["method"], row["half"]) == key)
-            for table in (shipped("learned_fd467cd.csv.gz"), rows)
-            for key in [(method, "placed")]
-        ]
-        assert f"`{method}` {placed[1]} of 600 where it had solved {placed[0]}" in text
+        before = _placed(shipped("learned_fd467cd.csv.gz"), method)
+        now = _placed(rows, method)
+        assert f"`{method}` {now} of 600 where it had solved {before}" in text
+
+
+HALVES = {"with a reference trajectory": "witness", "placed without": "placed"}
+
+
+def test_what_agents_reach_is_counted_by_halves(equal):
+    text = " ".join(page("docs/agents.md").split())
+    heading, *lines = lines_of("docs/agents.md", "## What `mp_rl` reaches")
+    told = {line[0]: line[1:] for line in lines if "`, " in line[0]}
+    by_half = {half: [e for e in equal if e["smp"]["half"] == half] for half in HALVES.values()}
+    for said, half in HALVES.items():
+        for method in ("smp", "mp_rl", "detour"):
+            for task, cell in zip(heading[1:], told.pop(f"`{method}`, {said}"), strict=True):
+                own = [e[method] for e in by_half[half] if e[method]["task"] == task]
+                assert len(own) == 150
+                assert cell == "{} ({}–{})".format(*counted(own)[:3])
+    for said, entry in (
+        ("CPU seconds of training", "cpu_seconds"),
+        ("trajectories checked", "trajectories"),
+    ):
+        for task, cell in zip(heading[1:], told.pop(f"{said}: `mp_rl`, `detour`"), strict=True):
+            cards = [read_agent(shipped_agent(name, task))[1] for name in ("mp_rl", "detour")]
+            spent = (f"{card.training[entry]:,.0f}".replace(",", " ") for card in cards)
+            assert cell.replace(" ", "") == ", ".join(spent).replace(" ", "")
+    assert not told
+    for half, first, second, sentence in (
+        ("witness", "mp_rl", "detour", "to see the scene is worth {} episodes"),
+        ("witness", "smp", "mp_rl", "what `mp_rl` leaves, {}."),
+        ("placed", "smp", "mp_rl", "`smp` alone solves {}."),
+    ):
+        pairs = [(e[first]["success"], e[second]["success"]) for e in by_half[half]]
+        assert sentence.format(f"{pairs.count(('1', '0'))} : {pairs.count(('0', '1'))}") in text
+
+
+def _placed(rows, method):
+    """Return how many episodes without a reference trajectory a method solves."""
+    return sum(int(r["success"]) for r in rows if (r["method"], r["half"]) == (method, "placed"))
 
 
 def _won(rows):
